@@ -15,6 +15,7 @@ import numpy as np
 
 from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.motion import Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.report.charts.style import new_figure
 from htcp_jax.runs.summary import summarise
@@ -37,7 +38,9 @@ def main() -> None:
     for i, tolerance in enumerate(TOLERANCES):
         for j, margin in enumerate(MARGINS_M):
             settings = replace(spec.config.settings, qp_tolerance=tolerance, aim_above_m=margin)
-            plans = plan(batch.robot, batch.workpiece, batch.scenarios, "baseline", settings, check_paths=False)
+            plans = plan(
+                Problem.of(batch.robot, batch.workpiece, batch.scenarios, settings, check_paths=False), "baseline"
+            )
             success[i, j] = 100 * summarise(plans).success_rate
             print(f"tolerance {tolerance:.0e}  margin {margin:.0e} m  success {success[i, j]:.2f} %", flush=True)
     with arguments.out.with_suffix(".csv").open("w", newline="") as file:

@@ -18,14 +18,14 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Obstacles, clearance
+from htcp_jax.clearance import Obstacles, clearance, is_clear
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.motion import Problem
 from htcp_jax.planning.batch import plan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,7 +44,7 @@ def main() -> None:
     job = load_config(ROOT / "configs/duct.yaml", chosen.overrides)
     robot, workpiece, where = scene(job)
     random = np.random.default_rng(0)
-    tracked = plan(robot, workpiece, where, "nspace-sqp", job.settings, check_paths=False).x[0]
+    tracked = plan(Problem.of(robot, workpiece, where, job.settings, check_paths=False), "nspace-sqp").x[0]
     tracked = tracked[np.isfinite(tracked).all(axis=1)]
     x = tracked[random.integers(len(tracked), size=QUERIES)] + random.normal(0, 0.03, (QUERIES, tracked.shape[1]))
     where = jax.tree.map(jnp.asarray, where)
@@ -97,7 +97,7 @@ def _brute_force(robot, obstacle: Obstacles, where, x):
 
 def _path(robot, obstacle: Obstacles, where, x):
     steps = x[None, :] + jnp.linspace(0.0, 0.01, 19)[:, None]
-    return all_clear(robot, obstacle, where, steps)
+    return jnp.all(jax.vmap(lambda step: is_clear(robot, obstacle, where, step))(steps))
 
 
 def _time(function, x: np.ndarray, repeats: int = 5) -> float:

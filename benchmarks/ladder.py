@@ -27,11 +27,8 @@ from scipy.spatial import cKDTree
 
 from benchmarks import hardware
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance.obstacles.of_workpiece import all_obstacles
-from htcp_jax.device import devices
 from htcp_jax.jobs.grid import Batch, load_sweep
-from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, inputs_and_tubes
 from htcp_jax.status import SegmentStatus
@@ -147,11 +144,9 @@ def counts(batch: Batch, row: int, samples: int) -> list[int | str]:
     """Return a scenario's row of the table: targets, results of the reference and the beam, and CPU times [s]."""
     cell, settings = batch.cells[batch.cell[row]], replace(batch.points[row].config.settings, transfers=True)
     one = jax.tree.map(lambda leaf: leaf[row : row + 1], batch.scenarios)
-    began, more = time.process_time(), {"task": cell.task, "obstacles": cell.obstacles}
-    plans = plan(cell.robot, cell.workpiece, one, "beam", settings, threads=1, **more)
-    planned, scenarios = time.process_time(), scenario_functions.with_max_joint_step(one, settings.max_joint_step_rad)
-    obstacles = all_obstacles(cell.workpiece, cell.obstacles)
-    problem = Problem(cell.robot, cell.workpiece, scenarios, settings, cell.task, obstacles, devices.choose(), 1)
+    began, execution = time.process_time(), Execution(threads=1)
+    problem = Problem.of(cell.robot, cell.workpiece, one, settings, cell.task, cell.obstacles, execution)
+    plans, planned = plan(problem, "beam"), time.process_time()
     found = sum(len(x) > 0 for x in Ladder(problem, 0, samples).rungs())
     spent = f"{time.process_time() - planned:.0f}", f"{planned - began:.0f}"
     return [int(one.count[0]), found, int(plans.tracked[0].sum()), int(plans.executable[0].sum()), *spent]

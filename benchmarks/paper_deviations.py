@@ -83,8 +83,8 @@ class Runs:
             (file := Path(folder) / f"{sweep}.yaml").write_text(text)
             spec = load_sweep(file, ROOT / "configs/paper.yaml", [*OVERRIDES[self.cloud], EQUAL, *overrides])
             batch = spec.batch()
-        how = {"check_paths": False, "processes": 1}
-        return plan(batch.robot, batch.workpiece, batch.scenarios, method, spec.config.settings, **how)
+        how = {"check_paths": False, "execution": Execution(processes=1)}
+        return plan(Problem.of(batch.robot, batch.workpiece, batch.scenarios, spec.config.settings, **how), method)
 
     def success(self, method: str, *overrides: str, sweeps: tuple[str, ...] = SWEEPS, **edit) -> str:
         """Return the success in %, one number per sweep."""
@@ -347,8 +347,8 @@ def damped(runs: Runs) -> None:
 @contextmanager
 def registered(method) -> Iterator[str]:
     """Register a method, and yield its name."""
-    yield registry.register(method).name
-    registry.METHODS.unregister(method.name)
+    with mock.patch.dict(registry.METHODS._own):
+        yield registry.register(method).name
 
 
 def own_null_space(minimise: Callable, settings: tuple[str, ...] = ()):
@@ -418,10 +418,10 @@ class OnHost(registry.Method):
 
     def plan(self, problem: Problem) -> Plans:
         """Plan with `HostExecutor`."""
-        own = replace(problem, threads=1)
         scene = Scene(problem.robot, problem.obstacles, problem.task)
         executor = HostExecutor(self.direction, scene, problem.settings, problem.devices[0])
-        vars(own)["checkers"] = (CollisionChecker(executor, problem.settings),)
+        checkers = (CollisionChecker(executor, problem.settings),)
+        own = replace(problem, execution=replace(problem.execution, threads=1), checkers=checkers)
         return StepQPs(self.name, self.title, self.description, stages=(NullSpace(lambda *_: None),)).plan(own)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 import htcp_jax
 from htcp_jax.jobs.grid import Batch
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.status import SegmentStatus
@@ -78,7 +78,7 @@ def _planned(batch: Batch, name: str, limit_s: float) -> PlannerResults:
 
     def run(scenarios):
         settings = batch.points[0].config.settings
-        return plan(batch.robot, batch.workpiece, scenarios, name, settings, threads=1)
+        return plan(Problem.of(batch.robot, batch.workpiece, scenarios, settings, execution=Execution(threads=1)), name)
 
     # A peer compiles for any number of targets; the shapes of a method of htcp_jax depend on all scenarios.
     few = jax.tree.map(lambda leaf: leaf[:1], batch.scenarios)

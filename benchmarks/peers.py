@@ -36,6 +36,7 @@ from benchmarks.figures import Figure, save
 from benchmarks.peer_planners import Advance, Task
 from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Batch, load_sweep
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.parameters import of_job
 from htcp_jax.spec import GP50
@@ -82,10 +83,10 @@ def ours(method: str) -> Callable[[Batch, list[Task]], Outcome]:
     """Return a planner that runs a method of htcp_jax."""
 
     def run(batch: Batch, tasks: list[Task]) -> Outcome:
-        how = {"settings": tasks[0].settings, "threads": 1, "check_paths": False}
-        first = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
+        how = {"settings": tasks[0].settings, "execution": Execution(threads=1), "check_paths": False}
+        first = plan(Problem.of(batch.robot, batch.workpiece, batch.scenarios, **how), method)
         with Clock() as clock:
-            plans = plan(batch.robot, batch.workpiece, batch.scenarios, method, **how)
+            plans = plan(Problem.of(batch.robot, batch.workpiece, batch.scenarios, **how), method)
         found = [x[tracked] for x, tracked in zip(plans.x, plans.tracked, strict=True)]
         attempted = int(np.sum((plans.status >= 0) & (plans.status != Status.NOT_ATTEMPTED)))
         return Outcome(found, attempted, plans.run_s, clock.cpu, first.compile_s, "all scenarios advance together")

@@ -21,6 +21,7 @@ from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
+from htcp_jax.motion import Problem
 from htcp_jax.numerics import null_basis
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
@@ -39,7 +40,7 @@ def main() -> None:
         [make_scenario(robot, workpiece, START, rotation=pose, margin_m=0.0, number=n) for n, pose in enumerate(poses)]
     )
     settings = Settings(clearance_rows="smallest", cost_about="previous")
-    plans = plan(robot, workpiece, scenarios, "baseline", settings, check_paths=False)
+    plans = plan(Problem.of(robot, workpiece, scenarios, settings, check_paths=False), "baseline")
     tracked = np.sum(plans.status == 0, axis=1)
     stuck = np.flatnonzero(tracked < plans.status.shape[1])
     print(f"{len(stuck)} of {len(poses)} poses get stuck")

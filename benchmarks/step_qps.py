@@ -19,6 +19,7 @@ from scipy.optimize import linprog
 from benchmarks import hardware
 from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.motion import Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import step_qps
 from htcp_jax.solvers import ClarabelSolver
@@ -70,7 +71,7 @@ def _recorded(config: str, overrides: list[str], count: int) -> StepQP:
 
     step_qps.make_solver = Recorder
     try:
-        plan(batch.robot, batch.workpiece, batch.scenarios, "nspace-sample", spec.config.settings)
+        plan(Problem.of(batch.robot, batch.workpiece, batch.scenarios, spec.config.settings), "nspace-sample")
     finally:
         step_qps.make_solver = make
     qps = jax.tree.map(lambda *parts: np.concatenate(parts), *seen)

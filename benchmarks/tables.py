@@ -20,6 +20,7 @@ from htcp_jax.caching import cache_folder
 from htcp_jax.cli.output import claim_device
 from htcp_jax.device import Executor
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
 from htcp_jax.solvers import ClarabelSolver
@@ -58,9 +59,9 @@ def main() -> None:
         for method in chosen.methods.split(","):
 
             def run(method=method, batch=batch, scenarios=scenarios, settings=spec.config.settings):
-                how = {"check_paths": not chosen.no_paths, "device": chosen.device}
-                how["processes"] = 1 if chosen.profile else chosen.processes  # the profile is of this process only
-                return plan(batch.robot, batch.workpiece, scenarios, method, settings, **how)
+                processes = 1 if chosen.profile else chosen.processes  # the profile is of this process only
+                how = {"check_paths": not chosen.no_paths, "execution": Execution(chosen.device, processes=processes)}
+                return plan(Problem.of(batch.robot, batch.workpiece, scenarios, settings, **how), method)
 
             plans = first = run()
             if not chosen.once:

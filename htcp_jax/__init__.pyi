@@ -11,8 +11,6 @@ from .model.inverse_kinematics import reanchor
 from .model.kinematics import capsule_segments, jacobian, tcp_pose, tcp_position
 from .model.robot import lengthen_tool
 from .model.scenario_setup import make_scenario
-from .model.task_list import TaskRow
-from .model.task_row_kind import TaskRowKind
 from .motion.plans import Plans
 from .motion.problem import Problem
 from .numerics import capsule_point_distance, null_basis
@@ -26,22 +24,26 @@ from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
 from .spec.obstacle_kind import ObstacleKind, ObstacleShape
+from .spec.task_list import AxisRow, OrientationRow, PointRow
+from .spec.task_row_kind import TaskRowKind
 from .status import Status
 from .trajectory.run_timing import time_run
 
 __all__ = [
+    "AxisRow",
     "GeneratedDuct",
     "InputError",
     "Method",
     "NoCloud",
     "ObstacleKind",
     "ObstacleShape",
+    "OrientationRow",
     "Plan",
     "Plans",
     "PointCloud",
+    "PointRow",
     "Problem",
     "Status",
-    "TaskRow",
     "TaskRowKind",
     "TriangleMesh",
     "axis_of",

@@ -13,23 +13,24 @@ from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
-from htcp_jax.jobs import load_config, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, scenario_setup, task_row_kind
+from htcp_jax.jobs import load_config, source_of, with_kinds
+from htcp_jax.model import Robot, Scenario, Workpiece, scenario_setup
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.motion import Motion, Plans, Tried
+from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
 from htcp_jax.motion import manipulability as manipulabilities
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import batch, inserted_goals, registry
+from htcp_jax.planning import methods as planning_methods
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import motion_summary as motion_summaries
 from htcp_jax.runs import plan_folder, provenance
 from htcp_jax.runs import summary as summaries
-from htcp_jax.spec import PlanConfig, obstacle_kind
+from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
 from htcp_jax.status import NOT_TRIED, Status
 from htcp_jax.system import output_files
 
@@ -184,10 +185,8 @@ class Plan:
         at = int(clearance.argmin())
         if not np.isfinite(clearance[at]):
             return {}
-        known = self.robot, self.workpiece, self.scenario, np.asarray(self.plans.x[0, at])
         with devices.on(devices.choose(self.device)[0]):
-            task = jobs.build.task_of_job(self.job, self.robot)
-            body, other = start_causes.nearest_bodies(*known, self.job.settings, task, self.obstacles)
+            body, other = start_causes.nearest_bodies(self._problem, np.asarray(self.plans.x[0, at]))
         return {"minimum clearance": f"at target {at}: {body} next to {other}"}
 
     def _distances(self) -> dict[str, str]:
@@ -230,13 +229,17 @@ class Plan:
     @cached_property
     def start_cause(self) -> start_causes.StartCause | None:
         """The reason why the plan could not begin; None if it began. The reasons are listed in `start_cause.CAUSES`."""
+        if (status := self.plans.status[:, 0])[0] not in start_causes.CAUSES:
+            return None
         with devices.on(devices.choose(self.device)[0]):
-            known = self.job.settings, jobs.build.task_of_job(self.job, self.robot), self.obstacles
-            status = self.plans.status[:, 0]
-            found = start_causes.start_causes(
-                self.robot, self.workpiece, scenarios.stack([self.scenario]), status, *known
-            )
-        return found.get(0)
+            return start_causes.start_causes(self._problem, status)[0]
+
+    @cached_property
+    def _problem(self) -> Problem:
+        """The job's scenario as a problem, to measure single configurations."""
+        task, execution = jobs.build.task_of_job(self.job, self.robot), Execution(self.device, threads=1)
+        one = scenarios.stack([self.scenario])
+        return Problem(self.robot, self.workpiece, one, self.job.settings, task, self.obstacles, execution)
 
     @property
     def _nearest_attempt(self) -> Obstruction | None:
@@ -387,7 +390,7 @@ def plan(
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]] = (),
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None = None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
 ) -> Plan:
     """Plan one job, and return the job with its plan.
 
@@ -410,13 +413,15 @@ def plan(
         overrides = {**overrides, "method": name} if isinstance(overrides, Mapping) else [*overrides, f"method={name}"]
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
-    return plan_job(job, None if isinstance(method, str) else method, progress=progress, device=device)
+    chosen = None if isinstance(method, str) else method
+    return plan_job(job, chosen, source=source_of(config), progress=progress, device=device)
 
 
 def plan_job(
     job: PlanConfig,
     method: registry.Method | None = None,
     *,
+    source: str = "the configuration",
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
 ) -> Plan:
@@ -425,6 +430,7 @@ def plan_job(
     Args:
         job: The job.
         method: The planning method; None: the job's.
+        source: Name of the job, for messages.
         progress: See `plan`.
         device: See `plan`.
 
@@ -432,21 +438,12 @@ def plan_job(
         InputError: See `plan`.
     """
     with devices.on(devices.choose(device)[0]):
-        chosen = method or registry.find(job.method)
-        robot, workpiece, scenario = jobs.build.scene(job)
+        chosen = method or planning_methods.find(job.method)
+        job, robot, workpiece, scenario = jobs.build.resolved_scene(job, source)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
-        plans = batch.plan(
-            robot,
-            workpiece,
-            scenario,
-            chosen,
-            job.settings,
-            progress=progress,
-            device=device,
-            task=jobs.build.task_of_job(job, robot),
-            obstacles=all_obstacles,
-            check_starts=True,
-        )
+        task, execution = jobs.build.task_of_job(job, robot), Execution(device)
+        made = robot, workpiece, scenario, job.settings, task, all_obstacles, execution
+        plans = batch.plan(Problem.of(*made, check_starts=True), chosen, progress)
         robot, scenario = scenario_setup.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
@@ -458,6 +455,6 @@ def methods() -> "pandas.DataFrame":
     """
     import pyarrow as pa
 
-    known = registry.METHODS.all().items()
-    rows = [{"method": name, "title": method.title, "description": method.description} for name, method in known]
+    known = registry.descriptions().items()
+    rows = [{"method": name, "title": title, "description": description} for name, (title, description) in known]
     return runs.tables.table_frame(pa.Table.from_pylist(rows)).set_index("method")

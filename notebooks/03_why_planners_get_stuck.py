@@ -32,7 +32,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.numerics import null_basis
-from htcp_jax.planning.registry import find
+from htcp_jax.planning.methods import find
 from htcp_jax.planning.tracking.null_space import StuckScenario, anchor, sphere_problem
 
 # %% [markdown]

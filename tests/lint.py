@@ -77,10 +77,10 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "file states",
         "ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "FileSection read_yaml validate_model is_limits_file": "readers of files",
+        "TaskRowKind BuiltInRow PointRow AxisRow OrientationRow TCP_ON_PATH path_row": "rows of a job's task",
         "with_arrays": "a job's row of another package, whose own check in numpy is called",
     },
     "model": {
-        "TaskRow TaskRowKind": "what a job's file states",
         "PRIMITIVES": "names of MuJoCo's shapes",
         "TOUCHING_M": "overlap of meshes that a job's arm is allowed",
         "Workpiece": "type of what `workpiece_of` loads; its points, triangles, path and inlet are copied at once",

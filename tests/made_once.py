@@ -12,9 +12,12 @@ import pytest
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.device.executor import ExecutableCache
+from htcp_jax.device.lane_function import LaneFunction
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model.duct import section
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario_setup import make_scenario
 
@@ -39,6 +42,14 @@ def robot() -> Robot:
 def duct() -> Workpiece:
     """Generated duct."""
     return load_workpiece()
+
+
+def section_value(points: np.ndarray) -> np.ndarray:
+    """|y/a|^n + |(z - zc)/b|^n - 1 of the duct at points (P, 3): 0 on its surface, negative in the bore."""
+    x, y, z = points.T
+    at = section(x)
+    b, n = at.half(z >= at.zc)
+    return np.abs(y / at.a) ** n + np.abs((z - at.zc) / b) ** n - 1.0
 
 
 @cache
@@ -87,6 +98,11 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
 
 
 @cache
+def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -> list:
+    """Executables of some lane functions in a cache, as pairs (lane function, executable)."""
+    return [(key[0], executable) for key, executable in executables._compiled.items() if key[0] in lane_functions]
+
+
 def in_rows(function: Callable, count: int) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
     compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))

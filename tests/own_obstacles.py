@@ -38,11 +38,7 @@ class Floor(Obstacle):
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return self._above(robot, bodies.p, bodies.q)
 
-    def touches_along(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, body, requested):
-        return jnp.any(requested & (self._above(robot, bodies.p, bodies.q)[:, body] <= 0))
-
     def _above(self, robot: Robot, p, q):
         lowest = jnp.minimum(p[..., 2], q[..., 2])
         reach, fixed = robot.capsule_radius + self.height_m, jnp.array(robot.capsule_link) < 0
-        reach, fixed = (jnp.broadcast_to(each, lowest.shape) for each in (reach, fixed))
         return jnp.where(fixed, 10.0, lowest - reach)

@@ -9,6 +9,7 @@ import numpy as np
 
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario_setup import make_scenario
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
@@ -38,8 +39,14 @@ def poses():
     )
 
 
-def plan_by_beam(scenarios, settings=SMALL, **choices):
-    return plan(made_once.robot(), made_once.duct(), scenarios, "beam", settings, **choices)
+def in_duct(scenarios, settings=SMALL, checks=True, **execution) -> Problem:
+    """Problem of scenarios in the duct; `execution`: of an `Execution`."""
+    made = made_once.robot(), made_once.duct(), scenarios, settings
+    return Problem.of(*made, execution=Execution(**execution), check_paths=checks)
+
+
+def plan_by_beam(*of, **more):
+    return plan(in_duct(*of, **more), "beam")
 
 
 @cache

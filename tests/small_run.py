@@ -14,6 +14,7 @@ import toy
 
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import duct
+from htcp_jax.motion import Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
@@ -50,7 +51,7 @@ def _toy_folder(points: int) -> TemporaryDirectory:
     (place / "grid.yaml").write_text(TOY_SWEEP)
     spec = load_sweep(place / "grid.yaml")
     scene = spec.batch()
-    plans = batch.plan(scene.robot, scene.workpiece, scene.scenarios, METHODS[0], spec.config.settings)
+    plans = batch.plan(Problem.of(scene.robot, scene.workpiece, scene.scenarios, spec.config.settings), METHODS[0])
     keep_plans(spec, dict.fromkeys(METHODS, plans), place / "run", shard_scenarios=2)
     return folder
 

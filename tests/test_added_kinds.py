@@ -19,13 +19,14 @@ from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model.task_row_kind import TASK_ROWS
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.spec.kinds import numbers_of
 from htcp_jax.spec.obstacle_kind import OBSTACLES
+from htcp_jax.spec.task_list import TASK_ROWS
 from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.trajectory.blends import MotionSlack
 from htcp_jax.trajectory.task_slack import with_rows
@@ -48,7 +49,7 @@ def test_a_page_is_true_from_its_package_to_its_report(place):
     assert code == 0, err
     report = (place.folder / "report" / "report.html").read_text()
     swept = {"docs/add-an-obstacle.md": "cell.obstacles.1.centre", "docs/add-a-task-row.md": "task.2.height"}
-    assert swept.get(place.page, "Random neighbours") in report
+    assert swept.get(place.page, "Clear neighbours") in report
     assert json.loads((place.folder / "plan" / "validation.json").read_text())["validated"]
 
 
@@ -101,7 +102,7 @@ def kinds():
     yield {kind.name: kind for kind in (*found, *rows)}
     for registry, own in ((OBSTACLES, found), (TASK_ROWS, rows)):
         for kind in own:
-            registry.unregister(kind.name)
+            registry._own.pop(kind.name)
 
 
 BALL = {"kind": "ball", "centre_m": [0.9, 0.2, 0.9], "radius_m": 0.1}
@@ -157,10 +158,10 @@ def test_scenarios_that_differ_in_the_balls_position_share_one_call_and_one_comp
     found = sweep.batch()
     assert len(found.cells) == 1 and found.scenarios.obstacle_numbers.shape == (3, 4)
     cell = found.cells[0]
-    how = {"task": cell.task, "obstacles": cell.obstacles, "threads": 1}
+    how = cell.settings, cell.task, cell.obstacles, Execution(threads=1)
 
     def planned(scenarios):
-        return batch.plan(cell.robot, cell.workpiece, scenarios, "baseline", cell.settings, **how)
+        return batch.plan(Problem.of(cell.robot, cell.workpiece, scenarios, *how), "baseline")
 
     alone = [planned(jax.tree.map(lambda leaf, s=s: leaf[s : s + 1], found.scenarios)) for s in (0, 1)]
     before = len(EXECUTABLES)
@@ -215,7 +216,7 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
 
 
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
-    on_path = htcp_jax.TaskRow(point="tcp", on="path")
+    on_path = htcp_jax.PointRow(point="tcp", on="path")
     plan = htcp_jax.plan({"method": "baseline"}, task=[on_path, kinds["stays-above"]("link4", 1.4)])
     x = jnp.asarray(plan.plans.x[0][plan.plans.tracked[0]])
     task = task_of_job(plan.job, plan.robot)
@@ -245,7 +246,7 @@ def test_values_and_keys_of_a_job_plan_alike(kinds):
     assert "ball" in plans[0].facts()["fixtures"]
     job = plans[0].job
     robot, workpiece, scenario = scene(load_config(SHORT))
-    again = batch.plan(robot, workpiece, scenario, "baseline", job.settings, obstacles=[ball])
+    again = batch.plan(Problem.of(robot, workpiece, scenario, job.settings, obstacles=[ball]), "baseline")
     assert np.array_equal(again.x, plans[0].plans.x, equal_nan=True)
 
 

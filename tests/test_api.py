@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.motion import Problem
 from htcp_jax.planning import batch, registry
 from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.runs.tables import table_frame
@@ -86,7 +87,7 @@ def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):
     htcp_jax.register(StepQPs("of-ones-own", "Own", "the baseline by another name"))
     plan = htcp_jax.plan(overrides=short, method="of-ones-own")
     plan.save(tmp_path / "out")
-    registry.METHODS.unregister("of-ones-own")
+    registry.METHODS._own.pop("of-ones-own")
     assert main(["validate", str(tmp_path / "out"), "--between", "0"]) == 0
     assert "of-ones-own" in capsys.readouterr().out
     replays = open_replays(tmp_path / "out")
@@ -208,7 +209,7 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
         np.testing.assert_allclose(htcp_jax.tcp_position(plan.robot, x), plan.plans.tcp[0, t], atol=1e-12)
         for replays in shelves:
             np.testing.assert_allclose(replays.replay(0, "baseline").tcp[t], plan.plans.tcp[0, t], atol=1e-12)
-    again = batch.plan(plan.robot, plan.workpiece, plan.scenario, "baseline", plan.job.settings)
+    again = batch.plan(Problem.of(plan.robot, plan.workpiece, plan.scenario, plan.job.settings), "baseline")
     np.testing.assert_allclose(again.x, plan.plans.x, atol=1e-9)  # the tool extension is not applied twice
 
 

@@ -10,7 +10,7 @@ from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import concatenate, gather
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import Plans, Problem
+from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.motion.motion import transfers
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.motion.step_functions import State
@@ -178,7 +178,7 @@ class FollowedHybrid(Method):
 def test_a_plan_made_backwards_says_so_and_holds_up_nobody(crossed):
     """Check status and counts of a backward chain in real plans, and step QPs of other scenarios between its pushes."""
     *scene, scenarios = crossed
-    plans, calls = plan(*scene, scenarios, FollowedHybrid(), threads=1), Followed.calls
+    plans, calls = plan(Problem.of(*scene, scenarios, execution=Execution(threads=1)), FollowedHybrid()), Followed.calls
     back = plans.recovery == HYBRID.backwards
     assert back[0].sum() > 50 and not back[1].any() and HYBRID.backwards == 3
     last = np.flatnonzero(back[0])[-1]

@@ -13,6 +13,7 @@ from small_motions import (
     check_motions,
     check_rows,
     first_of,
+    in_duct,
     plan_by_beam,
     planned,
     poses,
@@ -20,14 +21,11 @@ from small_motions import (
     scenario,
 )
 
-from htcp_jax.device.devices import choose
-from htcp_jax.model import Task
 from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.scenario import stack
-from htcp_jax.motion import Plans, Problem, ViaPoints
+from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.motion.motion import motion, transfers
 from htcp_jax.motion.motion_check import verify_motions
-from htcp_jax.planning import start_clearance
+from htcp_jax.motion.start_check import start_contact
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam import dead_ends
 from htcp_jax.settings import Settings
@@ -132,7 +130,7 @@ def test_a_start_in_collision_ends_it_at_once():
     """Start in collision: the end of the search, also if a clear configuration with the same TCP is near."""
     starts = np.load(made_once.RECORDED)["x"][:20]
     scenarios = [first_of(scenario(k, start=x), 3) for k, x in enumerate(starts)]
-    depths = [start_clearance(made_once.robot(), made_once.duct(), one)[0] for one in scenarios]
+    depths = [start_contact(made_once.robot(), made_once.duct(), one).clearance_m for one in scenarios]
     stuck = [one for one, D in zip(scenarios, depths, strict=True) if D <= 0]
     assert len(stuck) >= 5
     plans = plan_by_beam(stuck)
@@ -188,9 +186,7 @@ def verified(one, settings=SMALL, threads=1, **changes):
     plans = example()[1]
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
     plans.segment_status[:], plans.segment_clearance[:] = SegmentStatus.NOT_CHECKED, np.nan
-    scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
-    problem = Problem(scene[0], made_once.duct(), stack([one]), settings, task, scene[1], devices, threads)
-    return verify_motions(problem, plans)
+    return verify_motions(in_duct([one], settings, threads=threads), plans)
 
 
 def ends(plans, target, *verdicts):
@@ -329,13 +325,13 @@ def test_nobody_looks_beyond_a_failure_or_where_nobody_is_asked_to():
         changed.segment_status[0, 10:] == SegmentStatus.NOT_CHECKED
     ).all()
     assert changed.outcome(0).executable == 10
-    assert (plan_by_beam([first_of(one, 5)], check_paths=False).segment_status == SegmentStatus.NOT_CHECKED).all()
+    assert (plan_by_beam([first_of(one, 5)], checks=False).segment_status == SegmentStatus.NOT_CHECKED).all()
 
 
 def test_what_another_method_makes_is_verified_as_well():
     """Motions of another method, validated as well: by brute force, the verdicts are right."""
     scenarios = [first_of(scenario(k, rotation), 24) for k, rotation in enumerate([(0.4, 0.0), (0.8, -0.3)])]
-    plans = plan(made_once.robot(), made_once.duct(), scenarios, "baseline", SMALL)
+    plans = plan(in_duct(scenarios), "baseline")
     check_motions(scenarios, plans, SMALL.tolerance_m)
     assert plans.executable.sum() > 24
 

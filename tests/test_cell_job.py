@@ -29,7 +29,7 @@ from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.build import obstacles_of
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
-from htcp_jax.planning.batch import check_start
+from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.identity import config_hash, identity, identity_differences, refuse_changed
 from htcp_jax.runs.input_files import anchor_files, file_hashes
 from htcp_jax.spec import GP50

@@ -96,13 +96,12 @@ def segments(points, count, seed):
     return np.where(home, 0.0, p), np.where(home, length[:, None] * direction, q)
 
 
-_NEAREST = jax.jit(lambda index, p, q, within: jax.lax.map(lambda s: nearest_rows(index, *s), (p, q, within)))
+_NEAREST = jax.jit(lambda index, p, q: jax.lax.map(lambda s: nearest_rows(index, *s), (p, q)))
 
 
-def nearest(index, p, q, within=None):
+def nearest(index, p, q):
     """Rows of the nearest points, for LANES segments at a time."""
-    within = np.full(len(p), 1e150) if within is None else within
-    batches = (np.reshape(a, (-1, LANES, *a.shape[1:])) for a in (p, q, within))
+    batches = (np.reshape(a, (-1, LANES, *a.shape[1:])) for a in (p, q))
     return np.asarray(_NEAREST(index, *batches)).ravel()
 
 
@@ -179,7 +178,7 @@ def test_within_a_limit_the_nearest_point_is_found_and_beyond_it_none(name):
     exact = smallest_distances(p, q, points)
     factor = np.tile([0.0, 0.5, 1 - 1e-9, 1 + 1e-9, 1.001, 3.0, 1e3, 1e9], 50)
     limit = factor * exact
-    rows = nearest(build_index(points), p, q, limit)
+    rows = np.asarray(nearest_bodies(build_index(points), p[:, None], q[:, None], limit[:, None], below=0.0).row)
     inside = (factor > 1) & (exact > 1e-12)
     apart = exact > 1e-12  # for touching segments only rounding decides
     np.testing.assert_array_equal((rows >= 0)[apart], inside[apart])
@@ -192,18 +191,6 @@ def closest_points(p, q, points):
     square = np.sum(d * d, axis=1)
     s = np.clip(np.sum((points - p) * d, axis=1) / np.where(square > 0, square, 1.0), 0, 1)
     return p + s[:, None] * d
-
-
-def test_every_segment_has_its_own_limit():
-    """Check that a limit that stops one segment's search does not affect the others."""
-    points = cloud("three hundred")
-    p, q = segments(points, LANES, seed=5)
-    index, exact = build_index(points), smallest_distances(p, q, points)
-    free = nearest(index, p, q)
-    for stopped in range(LANES):
-        limit = np.where(np.arange(LANES) == stopped, 0.5 * exact, 1e150)
-        expected = np.where(np.arange(LANES) == stopped, -1, free)
-        np.testing.assert_array_equal(nearest(index, p, q, limit), expected)
 
 
 def test_a_batch_of_searches_equals_one_after_the_other():

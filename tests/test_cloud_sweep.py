@@ -63,7 +63,7 @@ def test_the_search_finds_what_a_look_at_every_point_does(size):
     index, all_ = build_index(points), jnp.ones(BODIES, bool)
     for _ in range(20):
         p, q, sweep, reach = swept(rng, points)
-        found = np.asarray(_FOUND(index, p, q, sweep, reach, all_, RequiredClearance(-jnp.inf, jnp.array(0.02))))
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, RequiredClearance(all_, -jnp.inf, jnp.array(0.02))))
         np.testing.assert_allclose(found, np.minimum(by_hand(points, p, q, sweep, reach), 0.02), atol=1e-12)
 
 
@@ -73,8 +73,9 @@ def test_the_search_ends_at_the_first_body_that_will_not_do_and_leaves_out_what_
     index = build_index(points)
     for _ in range(40):
         p, q, sweep, reach = swept(rng, points)
-        requested, wanted = rng.uniform(size=BODIES) < 0.5, RequiredClearance(jnp.array(-0.01), jnp.array(0.01))
-        found = np.asarray(_FOUND(index, p, q, sweep, reach, requested, wanted))
+        requested = rng.uniform(size=BODIES) < 0.5
+        wanted = RequiredClearance(jnp.asarray(requested), jnp.array(-0.01), jnp.array(0.01))
+        found = np.asarray(_FOUND(index, p, q, sweep, reach, wanted))
         by_points = by_hand(points, p, q, sweep, reach)
         will_do = (by_points[requested] >= -0.01).all()
         assert (found[requested] >= -0.01).all() == will_do and (found[~requested] == 0.01).all()
@@ -104,9 +105,9 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     p, q, sweep, reach, requested, enough = jax.tree.map(lambda *each: np.stack(each), *lanes)
 
     def clear(least):
-        found = jax.jit(
-            jax.vmap(lambda *lane: clear_along(index, *lane[:-1], RequiredClearance(jnp.asarray(least), lane[-1])))
-        )
+        required = jnp.asarray(least)
+        bounds = lambda *lane: clear_along(index, *lane[:4], RequiredClearance(lane[4], required, lane[5]))  # noqa: E731
+        found = jax.jit(jax.vmap(bounds))
         return np.asarray(found(p, q, sweep, reach, requested, enough))
 
     found, ended = clear(-jnp.inf), clear(0.01)

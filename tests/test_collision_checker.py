@@ -12,21 +12,19 @@ import made_once
 import numpy as np
 import pytest
 import toy
-from small_motions import SMALL, off_line, poses
+from small_motions import SMALL, in_duct, off_line, poses
 from sphere_references import place
 
 from htcp_jax.clearance import in_workpiece
 from htcp_jax.clearance.obstacles.tip_guard import TipGuard, WallTriangles, make_tip_guard
 from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device import Executor
-from htcp_jax.device.devices import choose
 from htcp_jax.device.tables import gather
 from htcp_jax.io.parts.workpiece_source import load_workpiece
-from htcp_jax.model import Task
 from htcp_jax.model.kinematics import tcp_position, tip_segment
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.collision_checker import PLACES
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
@@ -195,9 +193,7 @@ def test_other_rows_and_threads_have_no_influence(threads):
 
 
 def problem_of(scenarios, threads=1, settings=SMALL):
-    robot, obstacles, _ = made_once.scene()
-    task = Task(tolerance_m=settings.tolerance_m)
-    return Problem(robot, made_once.duct(), stack(scenarios), settings, task, obstacles, choose(None), threads)
+    return in_duct(scenarios, settings, threads=threads)
 
 
 def test_nothing_in_a_problem_can_be_written_into():
@@ -230,9 +226,9 @@ class Spy(registry.Method):
 def planned_by(spy, scenarios):
     registry.register(spy)
     try:
-        return plan(made_once.robot(), made_once.duct(), scenarios, "spy", SMALL, threads=1)
+        return plan(in_duct(scenarios, threads=1), "spy")
     finally:
-        registry.METHODS.unregister("spy")
+        registry.METHODS._own.pop("spy")
 
 
 @pytest.mark.parametrize("column", ["refused", "x_start", "targets"])
@@ -271,7 +267,7 @@ def test_every_thread_gets_a_checker_and_its_share_of_the_rows():
 def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
     one = poses()[0]
     first, goals = int(one.on_path), np.arange(4.0 * len(one.targets)).reshape(-1, 4)
-    problem = problem_of([replace(one, task_goals=goals)] * 2)
+    problem = problem_of([one]).with_scenarios(stack([replace(one, task_goals=goals)] * 2))
     plans = problem.empty_plans()
     assert problem.as_planned(plans) is problem
     plans.target[1, 1:first] = plans.target[1, first]
@@ -287,10 +283,7 @@ def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
 def test_steps_after_a_method_return_plans_and_change_none():
     """Arrays that cannot be written into go through every step."""
     settings, scenarios = replace(toy.SETTINGS, smooth=False), toy.scenarios()
-    task, devices = Task(tolerance_m=settings.tolerance_m), choose(None)
-    problem, segments = leave_home(
-        Problem(toy.robot(), toy.workpiece(), stack(scenarios), settings, task, toy.scene().obstacles, devices, 1)
-    )
+    problem, segments = leave_home(toy.problem(scenarios, settings, threads=1))
     given = toy.planned(settings=settings, threads=1)
     plans = given._replace(
         path_clear=np.full_like(given.path_clear, -1),

@@ -10,7 +10,7 @@ import pytest
 from htcp_jax.cli import main, self_test
 from htcp_jax.cli.main import app
 from htcp_jax.cli.methods import complete_methods
-from htcp_jax.planning.registry import METHODS
+from htcp_jax.planning.registry import descriptions
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
 COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-7]|9[0-7])[0-9;]*m")
@@ -71,8 +71,8 @@ def test_completion_scripts_are_printed(capsys):
 def test_methods_are_listed_with_their_sentences(capsys):
     assert main(["methods"]) == 0
     shown = " ".join(capsys.readouterr().out.split())  # sentences are wrapped at the terminal's width
-    assert all(name in shown and method.description in shown for name, method in METHODS.all().items())
-    assert [row["method"] for row in json_of(capsys, ["methods"])] == list(METHODS.all())
+    assert all(name in shown and description in shown for name, (_, description) in descriptions().items())
+    assert [row["method"] for row in json_of(capsys, ["methods"])] == list(descriptions())
 
 
 def test_plan_prints_its_summary_as_json(here, capsys):

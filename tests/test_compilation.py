@@ -10,8 +10,10 @@ import made_once
 import numpy as np
 import pytest
 import toy
+from made_once import compiled_from
 
-from htcp_jax.clearance.proof.motion_proof import proven_clear
+from htcp_jax.clearance.proof.bisection import PathVerdict
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, prove
 from htcp_jax.device import Executor, Loop
 from htcp_jax.device.batching import chunked, refilled
 from htcp_jax.device.devices import cores
@@ -42,12 +44,13 @@ def test_what_is_prepared_is_what_is_called():
     checker, (inputs, a, b) = CollisionChecker(executor, Settings()), requested(20)
     with executor.preparing([prove_call(checker.task, inputs, a, b)]):
         clear = checker.path_clear(inputs, a, b)
-        assert len(executables) == 1 and executor.compile_s > 0 and executables.executables_of(PROVE)
+        assert len(executables) == 1 and executor.compile_s > 0 and compiled_from(executables, PROVE)
     before = executor.compile_s
     assert checker.path_clear(inputs, a, b).tolist() == clear.tolist()
     assert len(executables) == 1 and executor.compile_s == before
-    alone, scenario = jax.jit(proven_clear), toy.scenario()
-    assert clear.tolist() == [bool(alone(toy.scene(), scenario, *ends)) for ends in zip(a, b, strict=True)]
+    scene, scenario = toy.scene(), toy.scenario()
+    alone = jax.jit(lambda *ends: prove(scene, scenario, *ends, resolution_m=RESOLUTION_M).verdict)
+    assert clear.tolist() == [int(alone(*ends)) == PathVerdict.VALID for ends in zip(a, b, strict=True)]
     assert clear.any() and not clear.all()
 
 
@@ -57,7 +60,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
     inputs, a, b = requested(2)
     with executor.preparing([prove_call(executor.task, inputs, a, b)]):
         pass
-    assert executables.executables_of(PROVE)
+    assert compiled_from(executables, PROVE)
     faulty = LaneFunction("faulty", lambda settings, scene, lane: settings.samples, STEP)
     with pytest.raises(AttributeError, match="samples"), executor.preparing([(faulty, inputs)]):
         pass
@@ -66,7 +69,7 @@ def test_what_is_prepared_is_there_in_the_end_and_a_fault_of_it_is_reported():
 @pytest.mark.parametrize("method", ["nspace-sqp", "nspace-sample", "hybrid"])
 def test_what_is_compiled_first_is_what_hard_targets_need(method, monkeypatch):
     monkeypatch.setattr(EXECUTABLES, "_compiled", {})  # nothing is in memory yet
-    toy.planned(method="baseline", compiled_first=(method,))
+    toy.planned(method="baseline", warm_up=(method,))
     before, hard = len(EXECUTABLES), toy.planned(method=method)
     assert (hard.status == Status.TRACKED_AFTER_RECOVERY).any()
     assert len(EXECUTABLES) == before and hard.compile_s == 0

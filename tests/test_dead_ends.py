@@ -9,7 +9,7 @@ import toy
 from htcp_jax.errors import InputError
 from htcp_jax.model import Workpiece
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import Plans, Tried
+from htcp_jax.motion import Execution, Plans, Problem, Tried
 from htcp_jax.motion.dead_ends import DeadEnds
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam.dead_ends import FEW, MOST_MISSED
@@ -59,7 +59,7 @@ def towards_a_ball(**changes) -> Plans:
     part = Workpiece("ball", path[-1] + 0.05 * ball, path, interior="none", pivot=np.zeros(3),
                      neutral_translation=np.zeros(3))  # fmt: skip
     one, settings = make_scenario(toy.robot(), part, None, **changes), replace(toy.SETTINGS, path_check="recoveries")
-    return plan(toy.robot(), part, one, settings=settings, threads=1)  # without inserted goals
+    return toy.planned(one, settings=settings, part=part, threads=1)  # without inserted goals
 
 
 def test_the_search_ends_also_if_no_configuration_reaches_the_lost_target():
@@ -77,7 +77,8 @@ def test_sampling_ends_if_no_draw_arrives_at_the_target_whatever_the_effort():
     away, zero = toy.workpiece().cloud + np.array([0.0, 0.0, 3.0]), np.zeros(3)
     part = Workpiece("line", away, path, interior="none", pivot=zero, neutral_translation=zero)
     settings = replace(toy.SETTINGS, effort=1000.0, path_check="recoveries")
-    plans = plan(arm, part, make_scenario(arm, part, None, rotation=(0.0, 0.0)), settings=settings, threads=1)
+    one = make_scenario(arm, part, None, rotation=(0.0, 0.0))
+    plans = plan(Problem.of(arm, part, one, settings, execution=Execution(threads=1)))
     (tried,) = plans.dead_ends.on(0).values()
     assert not tried.excluded and tried.found == 0 and tried.configurations == MOST_MISSED // FEW
 

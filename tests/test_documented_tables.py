@@ -9,7 +9,7 @@ import yaml
 
 import htcp_jax
 from htcp_jax import status
-from htcp_jax.jobs.defaults import keys_of
+from htcp_jax.spec import keys_of
 
 HOOKS = Path(__file__).parents[1] / "docs" / "hooks"
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_once import section_value
 from scipy.spatial import cKDTree
 
 from htcp_jax.model import duct
@@ -36,7 +37,7 @@ def spacing(points):
 
 def test_every_point_satisfies_the_section_equation(cloud):
     assert cloud.shape == (50_015, 3)
-    assert np.abs(duct.section_value(cloud)).max() < 1e-13
+    assert np.abs(section_value(cloud)).max() < 1e-13
 
 
 def test_the_stations_are_the_tables_rows():
@@ -61,7 +62,7 @@ def test_the_halves_meet_at_full_width():
 
 def test_the_bore_is_negative_and_beyond_the_ends_is_undefined():
     points = np.array([[0.5, 0.0, 0.15], [0.5, 0.3, 0.15], [-0.01, 0.0, 0.19], [0.97, 0.0, 0.19]])
-    value = duct.section_value(points)
+    value = section_value(points)
     assert value[0] < 0 < value[1]
     assert np.isnan(value[2:]).all()
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_once import section_value
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
@@ -27,7 +28,7 @@ beads = pytest.mark.parametrize("name", BEADS)
 
 @beads
 def test_a_bead_lies_on_the_wall(name):
-    assert np.abs(duct.section_value(seam(name))).max() < 1e-12
+    assert np.abs(section_value(seam(name))).max() < 1e-12
     near = cKDTree(duct.duct_cloud()).query(seam(name))[0]
     assert np.median(near) < 2.5e-3 and near.max() < 10e-3  # the same as the spacing of the cloud itself
 

@@ -11,16 +11,14 @@ import pytest
 import toy
 
 from htcp_jax.device import Executor
-from htcp_jax.device.devices import choose
 from htcp_jax.device.executor import EXECUTABLES, ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.device.tables import gather_from
-from htcp_jax.model import Task
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.step_functions import ADVANCE, STEPS_PER_CHUNK
-from htcp_jax.planning.registry import find
+from htcp_jax.planning.methods import find
 from htcp_jax.planning.tracking import Engine
 from htcp_jax.planning.tracking.candidates import PendingScenarios, nearest
 from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes, LaneTable, Work
@@ -63,10 +61,8 @@ def clarabel(cls=ClarabelSolver):
 
 def planned_by(executor, method="baseline", settings=PAPER, solver=None):
     """Plans that one engine makes of all scenarios with these lane functions and this QP solver."""
-    scenarios = stack(toy.scenarios())
-    task, devices = Task(tolerance_m=settings.tolerance_m), choose(None)
-    problem = Problem(toy.robot(), toy.workpiece(), scenarios, settings, task, toy.scene().obstacles, devices, 1)
-    work, plans = Work(list(range(len(scenarios.number))), 1), problem.empty_plans()
+    problem = toy.problem(settings=settings, threads=1)
+    work, plans = Work(list(range(len(problem.scenarios.number))), 1), problem.empty_plans()
     checker = CollisionChecker(executor, settings)
     Engine(problem, checker, solver or clarabel(), find(method), plans, work, PendingScenarios()).run()
     return plans

@@ -18,6 +18,7 @@ from sweep_process import COLD, HALF, SHARDS, plan_half, rows, start, wait_for_w
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.motion import Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
@@ -170,7 +171,7 @@ def test_a_scenario_that_is_not_a_number_fails_and_the_others_are_as_without_it(
     requested = load_sweep({"config": "job.yaml", "grid": [{"margin_m": [0, 0.0001, 0.0002]}]}).batch()
     odd = dataclasses.replace(requested.scenarios, margin_m=np.array([0.0, 1e300, 0.0002]))
     good, bad = (
-        batch.plan(requested.robot, requested.workpiece, each, "baseline", toy.SETTINGS)
+        batch.plan(Problem.of(requested.robot, requested.workpiece, each, toy.SETTINGS), "baseline")
         for each in (requested.scenarios, odd)
     )
     for name in ("status", "x", "clearance", "residual", "iterations", "path_clear"):

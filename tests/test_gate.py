@@ -110,7 +110,7 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     end_early(run, 2, 4, Status.QP_INFEASIBLE)
     assert gate(run, baseline) == REGRESSION
     reported = capsys.readouterr().out
-    label = f"rotation y 0 rad, tool {LONGER} m"
+    label = f"rotation y 0 rad, tool extension {LONGER} m"
     line = f"baseline, scenario 2 ({label}): first at target 4, {TARGETS} tracked in the baseline, 4 now"
     assert f"{line}; {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
     assert "failed  baseline: 4 targets fewer tracked, 28 of 32; allowed decrease: 0" in reported
@@ -159,7 +159,7 @@ def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
     reported = capsys.readouterr().out
     assert (
         "better  baseline tracks 3 targets more" in reported
-        and "scenario 0 (rotation y 0 rad, tool 0 m): first" in reported
+        and "scenario 0 (rotation y 0 rad, tool extension 0 m): first" in reported
     )
     assert Status.ITERATION_LIMIT.message in reported
 

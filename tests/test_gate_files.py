@@ -15,10 +15,10 @@ from small_run import end_early, toy_run
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.markup import printable
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
 from htcp_jax.report.document import markdown
 from htcp_jax.report.gate import annotations, gate_summary, junit
-from htcp_jax.runs import open_run
+from htcp_jax.runs import Column, open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.status import Status
 from htcp_jax.system.output_files import append_text
@@ -85,18 +85,18 @@ def test_the_junit_file_has_one_test_case_per_method_and_check(place, tmp_path):
 
 def test_a_failed_test_case_names_the_scenarios(verdict):
     (failure,) = cases(junit(verdict))["grid.baseline", "scenarios ending earlier"]
-    assert "baseline, scenario 2 (rotation y 0 rad, tool 0.01 m): first at target 4" in failure.text
+    assert "baseline, scenario 2 (rotation y 0 rad, tool extension 0.01 m): first at target 4" in failure.text
 
 
-def test_the_markdown_has_method_baseline_now_difference_and_the_scenarios_that_changed(place, tmp_path):
+def test_the_markdown_has_method_before_now_difference_and_the_scenarios_that_changed(place, tmp_path):
     assert gate(place, "worse", "--markdown", tmp_path / "gate.md") == REGRESSION
     found = texts((tmp_path / "gate.md").read_text())
     head = found.index("method")
-    assert found[head : head + 5] == ["method", "verdict", "baseline", "now", "difference"]
+    assert found[head : head + 5] == ["method", "verdict", "tracked [before]", "tracked [now]", "difference"]
     assert found[head + 8 : head + 13] == ["baseline", "FAILED", "32", "28", "-4"]
-    scenario = found.index("2 (rotation y 0 rad, tool 0.01 m)")
+    scenario = found.index("2 (rotation y 0 rad, tool extension 0.01 m)")
     assert found[scenario - 1 : scenario + 6] == [
-        *("baseline", "2 (rotation y 0 rad, tool 0.01 m)", "8", "4", "-4", "4", Status.QP_INFEASIBLE.message)
+        *("baseline", "2 (rotation y 0 rad, tool extension 0.01 m)", "8", "4", "-4", "4", Status.QP_INFEASIBLE.message)
     ]
 
 
@@ -104,9 +104,9 @@ def test_figures_that_changed_are_listed_with_their_difference(verdict):
     first, *others = verdict.rows
     row = first._replace(was_clearance_min_mm=2.0, clearance_min_mm=0.5, was_held=3, held=None)
     found = texts(gate_summary(verdict._replace(rows=(row, *others))))
-    place = found.index("minimum clearance [mm]")
-    assert found[place - 1 : place + 4] == ["baseline", "minimum clearance [mm]", "2.000", "0.500", "-1.500"]
-    place = found.index("scenarios with the feed held")
+    place = found.index("clearance [min mm]")
+    assert found[place - 1 : place + 4] == ["baseline", "clearance [min mm]", "2", "0.5", "-1.5"]
+    place = found.index("feed held [scenarios]")
     assert found[place + 1 : place + 4] == ["3", "-", "-"]
 
 

@@ -18,8 +18,9 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
-from htcp_jax.model.task_row_kind import PlacedPath
+from htcp_jax.model import PathFrames, Task, Workpiece
+from htcp_jax.model.rows_of_spec import PlacedPath, goals_of, row_of
+from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.trajectory.displacement import arm_at, displacement_bound
 from htcp_jax.trajectory.row_slack import slack_of_rows
 from htcp_jax.validation import validate_results
@@ -28,12 +29,12 @@ UP = (0.3, -0.2, 2.0)  # in the world
 NORMAL = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])  # of the path, in the part's frame
 QUATERNION = (0.9, 0.1, -0.3, 0.2)
 ROWS = {
-    "the seam's normal": TaskRow(axis="path.normal", towards=UP, cone_deg=100.0),
-    "minus the normal, exactly": TaskRow(axis="-path.normal", towards=UP, frame="world"),
-    "the tool's axis": TaskRow(axis="tcp.z", towards=UP, cone_deg=100.0),
-    "the tool's axis, exactly": TaskRow(axis="-tcp.x", towards=UP),
-    "an axis of the positioner": TaskRow(axis="tilt.y", towards=UP, cone_deg=100.0),
-    "the tool's orientation": TaskRow(orientation=QUATERNION, within_deg=100.0),
+    "the seam's normal": AxisRow(axis="path.normal", towards=UP, cone_deg=100.0),
+    "minus the normal, exactly": AxisRow(axis="-path.normal", towards=UP, frame="world"),
+    "the tool's axis": AxisRow(axis="tcp.z", towards=UP, cone_deg=100.0),
+    "the tool's axis, exactly": AxisRow(axis="-tcp.x", towards=UP),
+    "an axis of the positioner": AxisRow(axis="tilt.y", towards=UP, cone_deg=100.0),
+    "the tool's orientation": OrientationRow(orientation=QUATERNION, within_deg=100.0),
 }
 CELL = CELLS["a rail below the arm, and a positioner"]
 
@@ -45,13 +46,13 @@ def robot(tmp_path_factory):
     return load_robot(file)
 
 
-def part_of(row: TaskRow, robot) -> tuple[Task, jax.Array]:
+def part_of(row: AxisRow | OrientationRow, robot) -> tuple[Task, jax.Array]:
     """The row's task with equal tolerances, so that angles are not scaled, and its goals at two points."""
     path, home = np.eye(2, 3), np.zeros(3)
     frames = PathFrames(NORMAL, NORMAL, None)
     part = Workpiece("path", path[:0], path, interior="none", pivot=home, neutral_translation=home, frames=frames)
-    task = Task((row.part(robot),), 1e-3, 1e-3)
-    return task, jnp.asarray(row.goals(task.parts[0], PlacedPath(np.eye(3), np.zeros(3), path, part)))
+    task = Task((row_of(row, robot),), 1e-3, 1e-3)
+    return task, jnp.asarray(goals_of(row, task.parts[0], PlacedPath(np.eye(3), np.zeros(3), path, part)))
 
 
 @cache
@@ -59,7 +60,7 @@ def tree() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(CELL)
 
 
-def by_mujoco(row: TaskRow, robot, x: np.ndarray, normal: np.ndarray = NORMAL[0]) -> np.ndarray:
+def by_mujoco(row: AxisRow | OrientationRow, robot, x: np.ndarray, normal: np.ndarray = NORMAL[0]) -> np.ndarray:
     """The row's angle in MuJoCo's tree, in the world [rad]."""
     model = tree()
     data, order, found = mujoco.MjData(model), [model.joint(name).id for name in robot.joint_names], []
@@ -67,7 +68,7 @@ def by_mujoco(row: TaskRow, robot, x: np.ndarray, normal: np.ndarray = NORMAL[0]
         data.qpos[order] = each
         mujoco.mj_kinematics(model, data)
         frames = {"tcp": data.site("tcp").xmat, "tilt": data.body("tilt").xmat, "path": data.body("table").xmat}
-        if row.axis is None:
+        if isinstance(row, OrientationRow):
             wanted = Rotation.from_quat(QUATERNION, scalar_first=True)
             found.append((wanted * Rotation.from_matrix(frames["tcp"].reshape(3, 3)).inv()).magnitude())
             continue
@@ -112,7 +113,7 @@ def test_its_angle_is_that_of_mujocos_tree_and_its_jacobian_that_of_jacfwd(robot
     row = ROWS[name]
     x, values, own, forward = computed
     task, _ = part_of(row, robot)
-    angle = np.linalg.norm(values[name], axis=1) if task.rows else np.deg2rad(row.limit_deg) - values[name][:, 0]
+    angle = np.linalg.norm(values[name], axis=1) if task.rows else np.deg2rad(row.limit) - values[name][:, 0]
     np.testing.assert_allclose(angle, by_mujoco(row, robot, x), atol=1e-9)
     np.testing.assert_allclose(own[name], forward[name], atol=1e-9)
     assert np.abs(own[name]).max() > 0.1

@@ -9,12 +9,13 @@ from functools import cache
 import made_once
 import numpy as np
 import pytest
-from small_motions import SMALL, check_motions, check_segment, first_of, plan_by_beam, same, scenario, segments
+from small_motions import SMALL, check_motions, check_segment, first_of, in_duct, plan_by_beam, same, scenario, segments
 from stranger_jobs import car_job
 
 import htcp_jax
 from htcp_jax.motion.motion import motion, motion_figures, transfers
-from htcp_jax.planning.batch import check_start, plan
+from htcp_jax.motion.start_check import check_start
+from htcp_jax.planning.batch import plan
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation import validate_results
 
@@ -78,7 +79,7 @@ def test_any_method_begins_at_home():
     """Compare with a plan without home: only the segment to the first target differs."""
     one = at_home(0, start=made_once.START)
     without = replace(one, x_home=one.x_start)
-    from_start, from_home = (plan(made_once.robot(), made_once.duct(), s, "baseline", SMALL) for s in (without, one))
+    from_start, from_home = (plan(in_duct(s), "baseline") for s in (without, one))
     np.testing.assert_array_equal(from_home.x, from_start.x)
     assert (from_home.segment_status == from_start.segment_status).all() and (from_home.start == HOME).all()
     assert from_home.executable.sum() == from_start.executable.sum() > 0

@@ -11,16 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError
-from htcp_jax.model import Task, TaskRow, Workpiece, kinematics
+from htcp_jax.model import Task, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion.step_functions import State
-from htcp_jax.planning.batch import Progress, plan
+from htcp_jax.planning.batch import Progress
 from htcp_jax.planning.beam.tree import BeamTree, JointSteps
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
+from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.validation.scene_rules import WorkpieceData
 from htcp_jax.validation.task_check import part_between
@@ -44,9 +45,8 @@ def rectangle(method="beam", **changes):
     """The plan along a rectangle of four points, and the same with all tracked targets counted."""
     reported: list[Progress] = []
     settings = replace(toy.SETTINGS, **changes)
-    how = {"progress": reported.append, "threads": 1}
-    found = plan(toy.robot(), workpiece(CORNERS), [scenario(CORNERS)], method, settings, **how)
-    return found, reported
+    how = {"part": workpiece(CORNERS), "threads": 1}
+    return toy.planned([scenario(CORNERS)], method, settings, reported.append, **how), reported
 
 
 def joint_path(plans, s, t):
@@ -90,7 +90,7 @@ def test_nothing_is_inserted_on_short_segments_and_before_the_path():
 
 
 def test_a_scenario_with_long_segments_has_the_same_plan_in_any_batch():
-    both = plan(toy.robot(), workpiece(CORNERS), [toy.scenarios()[3], scenario(CORNERS)], "beam", toy.SETTINGS)
+    both = toy.planned([toy.scenarios()[3], scenario(CORNERS)], part=workpiece(CORNERS))
     alone, others = rectangle()[0], toy.plans_by()
     toy.same(both, 1, alone, 0, alone.status.shape[1])
     toy.same(both, 0, others, 3, int(toy.scenarios()[3].count))
@@ -102,7 +102,7 @@ def test_a_segment_that_fails_in_the_middle_fails_at_its_target_and_keeps_what_w
     path = (*CORNERS[:1], (0.45, 0.0, 0.3), (1.3, 0.0, 0.3))
     far = scenario(path, beyond_reach="record")
     far = replace(far, refused=np.asarray(scenarios.NOT_REFUSED, np.int32))
-    plans = plan(toy.robot(), workpiece(path), [far], "beam", replace(toy.SETTINGS, effort=0.0))
+    plans = toy.planned([far], settings=replace(toy.SETTINGS, effort=0.0), part=workpiece(path))
     end = plans.outcome(0)
     assert (end.failed, end.tracked, end.executable) == (3, 3, 3) and not end.status.tracked
     assert np.isnan(plans.x[0, 3]).all() and plans.segment_status[0, 3] == SegmentStatus.NOT_CHECKED
@@ -197,7 +197,7 @@ def test_validation_turns_directions_between_targets_as_inserted_goals_do():
     path, turns = rng.normal(size=(3, 3)), Rotation.random(3, rng=rng)
     normals = turns.apply([0.0, 0.0, 1.0])
     part = WorkpieceData(path, path, None, np.empty((0, 3, 3)), 0.0, normals, None, turns.as_matrix())
-    rows = TaskRow(axis="tcp.z", towards="path.normal"), TaskRow(orientation="path")
+    rows = AxisRow(axis="tcp.z", towards="path.normal"), OrientationRow(orientation="path")
     point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
     found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)
     columns = np.concatenate([path, normals, turns.as_matrix().reshape(3, 9)], axis=1)

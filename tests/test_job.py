@@ -12,8 +12,8 @@ from htcp_jax import api
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
-from htcp_jax.jobs import load_config
-from htcp_jax.jobs.build import robot_of, scene
+from htcp_jax.jobs import load_config, resolve
+from htcp_jax.jobs.build import resolved_scene, robot_of, scene
 from htcp_jax.model.scenario_setup import place_of
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Status
@@ -39,8 +39,7 @@ def pipe(tmp_path):
 
 def plan_of(job: str | Path) -> api.Plan:
     """Plan of a job in which the first target failed."""
-    config = load_config(job)
-    robot, workpiece, scenario = scene(config)
+    config, robot, workpiece, scenario = resolved_scene(load_config(job))
     lost = [Status.ITERATION_LIMIT, *[Status.NOT_ATTEMPTED] * (len(scenario.targets) - 1)]
     plans = plans_with([lost], joints=7)._replace(start=scenario.x_start[None], target=scenario.targets[None])
     return api.Plan(config, robot, workpiece, scenario, plans)
@@ -56,7 +55,7 @@ def refusal(config, overrides=()) -> str:
 def test_another_robot_has_its_model_s_limits_and_weights_of_one():
     """Regression: a job without limits was planned and validated with +-pi, beyond the limits of its model."""
     job = load_config(OWN)
-    assert job.robot.limits == "model" and job.settings.q_weights == (1.0,) * 7
+    assert job.robot.limits == "model" and resolve(job, robot_of(job.robot)).settings.q_weights == (1.0,) * 7
     limits = robot_of(load_config(OWN | {"robot.limits": "simulation"}).robot).upper
     assert np.allclose(limits, np.pi) and (np.asarray(robot_of(job.robot).upper) < np.pi).all()
 
@@ -64,9 +63,22 @@ def test_another_robot_has_its_model_s_limits_and_weights_of_one():
 def test_another_robot_without_a_start_is_refused_and_its_joints_are_named(tmp_path):
     """Regression: the GP50's start was used silently, or refused for its length."""
     (tmp_path / "job.yaml").write_text(f"robot: {{model: {ARM}}}\n")
-    reported = refusal(tmp_path / "job.yaml")
-    assert reported.startswith(f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: ")
-    assert reported.endswith(": 7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto")
+    with pytest.raises(InputError) as error:
+        api.plan(tmp_path / "job.yaml")
+    first = f"{tmp_path / 'job.yaml'}: robot.model is arm.xml, so start_rad must be given: "
+    assert str(error.value) == f"{first}7 joint positions (a1, a2, a3, a4, a5, a6, a7), or auto"
+
+
+def test_a_job_is_read_without_the_files_that_it_names(tmp_path, capsys):
+    """The job is complete, and the command refuses the missing file."""
+    (tmp_path / "job.yaml").write_text("robot: {model: no-arm.xml}\nworkpiece: {cloud: no-part.stl}\n")
+    job = load_config(tmp_path / "job.yaml")
+    assert (job.robot.model, job.start_rad, job.settings.q_weights) == (str(tmp_path / "no-arm.xml"), (), ())
+    assert load_config(job.model_dump()) == load_config(json.loads(job.model_dump_json())) == job
+    assert main(["plan", str(tmp_path / "job.yaml"), "--out", str(tmp_path / "out")]) == 2
+    reported = capsys.readouterr().err
+    assert "no-arm.xml: cannot read the model" in reported and reported.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_another_cloud_stands_at_its_own_origin_and_is_not_turned():

@@ -1,5 +1,6 @@
 """Joint paths: those proven clear are clear everywhere, and the bounds on the motion of the arm hold."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -11,9 +12,13 @@ from sphere_references import place
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.motion_bound import motion_bound, travel_bound
-from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, path_clear
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M
+from htcp_jax.device import Executor
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion import CollisionChecker
+from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings
 
 SAMPLES = Settings(path_test="samples")
@@ -21,9 +26,8 @@ START = jnp.asarray(made_once.START)
 
 
 @cache
-def _tested(settings):
-    scene = Scene(*made_once.scene())
-    return jax.jit(lambda where, a, b: path_clear(scene, settings, where, a, b))
+def _checker(settings):
+    return CollisionChecker(Executor(Scene(*made_once.scene()), settings), settings)
 
 
 def smallest_D(where, a, b, places):
@@ -33,7 +37,8 @@ def smallest_D(where, a, b, places):
 
 
 def clear(where, a, b, settings=Settings()):  # noqa: B008 - frozen
-    return bool(_tested(settings)(where, a, b))
+    one = lane_inputs(stack([replace(made_once.nominal(), **where._asdict())]), *np.zeros((2, 1), int))
+    return bool(_checker(settings).path_clear(one, np.asarray(a)[None], np.asarray(b)[None])[0])
 
 
 @cache

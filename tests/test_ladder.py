@@ -4,18 +4,13 @@ import numpy as np
 import toy
 
 from benchmarks.ladder import Ladder
-from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.device.devices import choose
-from htcp_jax.model import Task
-from htcp_jax.model.scenario import stack
 from htcp_jax.motion import Problem
 
 SAMPLES = 60
 
 
 def problem(*scenarios) -> Problem:
-    task, shelf = Task(tolerance_m=toy.SETTINGS.tolerance_m), make_obstacle(toy.workpiece())
-    return Problem(toy.robot(), toy.workpiece(), stack(scenarios), toy.SETTINGS, task, shelf, choose(), 1)
+    return toy.problem(scenarios, threads=1)
 
 
 def test_a_ladder_gets_as_far_as_the_beam_with_valid_vertices_and_the_same_ones_by_the_same_seed():

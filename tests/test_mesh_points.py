@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import triangles
-from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh, covering_radius
-from htcp_jax.model.triangles import area, pieces
+from htcp_jax.model import mesh_points, triangles
+from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh
+from htcp_jax.model.triangles import area, longest_edge_first, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),
@@ -64,7 +64,7 @@ def test_a_triangles_covering_radius_is_attained_and_never_exceeded(corners):
     grid = np.array([(i, j, 120 - i - j) for i in range(121) for j in range(121 - i)]) / 120
     points = grid @ triangle
     furthest = np.linalg.norm(points[:, None] - triangle, axis=2).min(axis=1).max()
-    radius = covering_radius(triangle[None])[0]
+    radius = mesh_points._covering_radius(longest_edge_first(np.moveaxis(triangle[None], 0, 2)))[0]
     longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
     assert furthest <= radius * (1 + 1e-6) + ROOM and radius <= furthest + longest / 120 + ROOM
 

@@ -13,6 +13,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import obstacles_of, robot_of, scene
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.motion import Problem
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning import batch
 from htcp_jax.report import make_report
@@ -75,7 +76,7 @@ def test_each_scenario_is_what_it_would_be_alone(place, run):
         robot, workpiece, scenario = scene(point.config)
         own = replace(scenario, number=np.asarray(point.number, np.int32))
         beside = obstacles_of(point.config.cell, robot)
-        alone = batch.plan(robot, workpiece, own, "baseline", point.config.settings, obstacles=beside)
+        alone = batch.plan(Problem.of(robot, workpiece, own, point.config.settings, obstacles=beside), "baseline")
         for name in ("x", "status", "clearance", "target", "path_clear"):
             np.testing.assert_array_equal(getattr(plans, name)[point.number], getattr(alone, name)[0], name)
 

@@ -96,7 +96,7 @@ def test_the_viewer_has_a_toggle_for_a_part_that_moves(planned, replay):  # noqa
             found = []
             for target in range(len(replay.target)):
                 viewer.go_to(target)
-                found.append(stage.arm_positions[pillar])
+                found.append(np.array(stage._arm[pillar].position))
             return spread(found)
 
         assert places() < 1e-9 and not np.allclose(stage.T_part, AT_REST)

@@ -5,20 +5,20 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from htcp_jax.model import TaskRow
+from htcp_jax.spec import AxisRow, PointRow
 from htcp_jax.viewer import glyphs
 from htcp_jax.viewer.normal_glyphs import LENGTH_M
 
-ON_PATH = TaskRow(point="tcp", on="path")
+ON_PATH = PointRow(point="tcp", on="path")
 T = np.asarray(made_once.duct().T_world(0.4, 0.1))
 
 
 @pytest.mark.parametrize(
     "row",
     [
-        TaskRow(axis="tcp.z", towards="-path.normal", cone_deg=30.0),
-        TaskRow(axis="tcp.z", towards="path.normal"),
-        TaskRow(point="tcp", on="path", axes="yz", frame="path"),
+        AxisRow(axis="tcp.z", towards="-path.normal", cone_deg=30.0),
+        AxisRow(axis="tcp.z", towards="path.normal"),
+        PointRow(point="tcp", on="path", axes="yz", frame="path"),
     ],
 )
 def test_a_glyph_stands_on_every_point_of_the_path_and_leads_away_from_the_wall(row):
@@ -31,5 +31,5 @@ def test_a_glyph_stands_on_every_point_of_the_path_and_leads_away_from_the_wall(
 
 
 def test_there_are_none_where_no_row_names_the_normals():
-    rows = [ON_PATH, TaskRow(axis="tcp.x", towards="path.tangent"), TaskRow(point="link4", on=(1.0, 0.0, 1.0))]
+    rows = [ON_PATH, AxisRow(axis="tcp.x", towards="path.tangent"), PointRow(point="link4", on=(1.0, 0.0, 1.0))]
     assert glyphs(rows, made_once.duct(), T).shape == glyphs([], made_once.duct(), T).shape == (0, 2, 3)

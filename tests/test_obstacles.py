@@ -12,11 +12,17 @@ from own_obstacles import Floor
 from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
-from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, all_clear, clearance_rows, free_radius
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows, free_radius
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
-from htcp_jax.clearance.proof.motion_proof import proven_clear
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M
+from htcp_jax.device import Executor
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion import CollisionChecker
+from htcp_jax.motion.lane_inputs import lane_inputs
+from htcp_jax.settings import Settings
+from htcp_jax.status import SegmentStatus
 
 PAIRS = ((7, 1), (7, 2), (6, 1), (5, 0))  # the tool and the wrist against the lower arm
 
@@ -137,26 +143,23 @@ def test_a_contact_held_never_predicts_less_than_the_truth_and_the_truth_where_i
             assert (predicted >= exact - 1e-12)[8:].all()
 
 
-def test_paths_are_clear_where_no_place_of_them_touches_any_kind():
-    where, scene = made_once.nominal(), Scene(made_once.robot(), obstacles())
+def test_paths_are_clear_where_no_sample_of_them_touches_any_kind():
+    """Check the verdicts by `path_test: samples` of each kind alone and of all kinds, and the proofs."""
     rng = np.random.default_rng(1)
-    starts = configurations()[20:80]  # the first forty are random, often in collision
-    ends = starts + np.stack([rng.uniform(-0.2, 0.2, 6) for _ in starts])
-    places = starts[:, None] + np.linspace(0, 1, 41)[:, None] * (ends - starts)[:, None]
-    (clear,) = answers((is_clear,), places.reshape(-1, 6))
-    truth = clear.reshape(len(starts), 41).all(axis=1)
-
-    @jax.jit
-    def verdicts(scene, where, starts, ends, places):
-        def verdict(path):
-            return all_clear(*scene[:2], where, path[2]), proven_clear(scene, where, *path[:2])
-
-        return jax.lax.map(verdict, (starts, ends, places))
-
-    found, proven = map(np.asarray, verdicts(scene, where, starts, ends, places))
-    np.testing.assert_array_equal(found, truth)
+    starts = configurations()[:80]  # the first forty are random, often in collision
+    ends = starts + rng.uniform(-1, 1, starts.shape) * np.tile([0.2, 0.2, 0.2, 3.0], 20)[:, None]
+    inner = (starts[:, None] + np.linspace(0, 1, 41)[1:-1, None] * (ends - starts)[:, None]).reshape(-1, 6)
+    inputs = lane_inputs(stack([made_once.nominal()]), *np.zeros((2, len(starts)), int))
+    settings = Settings(path_test="samples", path_steps=40)
+    for kinds in (*((each,) for each in obstacles()), obstacles()):
+        checker = CollisionChecker(Executor(Scene(made_once.robot(), kinds), settings), settings)
+        truth = answers((clearance,), inner, kinds)[0].reshape(len(starts), 39).min(axis=1) > 0
+        np.testing.assert_array_equal(checker.path_clear(inputs, starts, ends), truth)
+    assert truth.any() and not truth.all()
+    proven = checker.edges(inputs, starts, ends, resolution_m=RESOLUTION_M).verdict == SegmentStatus.VALID
     assert truth[proven].all() and 5 <= proven.sum() <= len(proven) - 5
-    assert (answered().free_radius[20:80][truth] > 0).all()
+    clear_ends = answers((is_clear,), starts)[0]
+    assert (answered().free_radius[:80][clear_ends] > 0).all()
 
 
 def test_contacts_alone_answer_every_query():
@@ -167,9 +170,7 @@ def test_contacts_alone_answer_every_query():
         along = jax.vmap(lambda x: bodies_at(robot, where, x))(xs)
         each = [jax.vmap(lambda bodies, query=query: getattr(of, query)(floor, robot, where, bodies))(along)
                 for query in ("smallest", "touches", "free_radius")]  # fmt: skip
-        bodies = jnp.arange(len(robot.capsule_link))
-        every = jnp.ones(len(xs), bool)
-        return each, jax.vmap(lambda body: of.touches_along(floor, robot, where, along, body, every))(bodies)
+        return each
 
     xs = jnp.asarray(configurations()[:20])
     for by_contacts, own in zip(*map(jax.tree.leaves, (answer(Obstacle, xs), answer(Floor, xs))), strict=True):

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import page_package
 import pytest
+import toy
 
 import htcp_jax
+from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.errors import InputError
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
@@ -174,7 +176,7 @@ class Empty(Standstill):
 @pytest.fixture
 def standstill():
     yield htcp_jax.register(Standstill())
-    registry.METHODS.unregister("standstill")
+    registry.METHODS._own.pop("standstill")
 
 
 def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
@@ -219,7 +221,7 @@ def test_a_run_is_not_continued_by_a_method_whose_code_has_changed(tmp_path, mon
             htcp_jax.sweep(grid, "changing", config=job, out=tmp_path / "run")
         htcp_jax.sweep(grid, "baseline", config=job, out=tmp_path / "run")  # one that ships may be added
     finally:
-        registry.METHODS.unregister(method.name)
+        registry.METHODS._own.pop(method.name)
 
 
 @pytest.mark.parametrize(
@@ -260,3 +262,41 @@ def test_nothing_is_imported_before_a_name_is_looked_up():
         "assert loaded == ['htcp_jax.planning.method', 'htcp_jax.planning.registry'], loaded"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+
+
+# The page's method with a lane function, in this process
+
+
+@pytest.fixture(scope="module")
+def climber():
+    """The page's module `my_climber`."""
+    names = {"__name__": "my_climber"}
+    exec(page_package.files("docs/add-a-planner.md")["my_climber.py"], names)
+    return names
+
+
+def test_a_lane_function_of_a_stranger_is_compiled_once_and_gives_each_scenario_its_plan_alone(climber):
+    """Scenarios planned side by side and in two threads, and one by one: the same plans, from one executable."""
+    method = climber["ClearNeighbours"]()
+    together = toy.planned(method=method, threads=2)
+    assert together.tracked.sum() > len(toy.scenarios()) and (together.clearance[together.tracked] > 0).all()
+    before = len(EXECUTABLES)
+    for s, one in enumerate(toy.scenarios()):
+        toy.same(together, s, toy.planned(one, method, threads=1), 0, int(one.count))
+    assert len(EXECUTABLES) == before
+
+
+def test_a_lane_function_of_a_stranger_moves_away_from_the_obstacles(climber):
+    problem = toy.problem(threads=1)
+    checker, inputs = problem.checkers[0], problem.inputs(problem.to_plan, 0)
+    x = problem.scenarios.x_start
+    clearer = checker.states(inputs, checker.executor(climber["CLIMB"], inputs, x))
+    assert (clearer.clearance > checker.states(inputs, x).clearance).any()
+    assert (clearer.residual <= problem.task.tolerance_m).all()
+
+
+def test_inputs_of_several_scenarios_follow_each_other():
+    problem = toy.problem(threads=1)
+    found = problem.inputs(np.array([3, 1]), np.array([2, 4]), 2)
+    assert found.row.tolist() == [2, 2, 4, 4] and found.number.tolist() == [3, 3, 1, 1]
+    np.testing.assert_array_equal(found.target[2], problem.scenarios.targets[1, 4])

@@ -61,6 +61,7 @@ def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():
     [
         ["--set", "nokey=3"],
         ["--set", "margin_m=wide"],
+        ["--set", "robot.model=no-such-file.xml", "--set", "start_rad=none"],
         ["--set", "task=[{point: tcp, on: nowhere}]"],
         ["--set", "cell.obstacles=[{kind: none-of-them}]"],
         ["--method", "none-of-them"],

@@ -14,10 +14,7 @@ from benchmarks.peer_cell import Brought, Cell
 from benchmarks.peer_motions import PEERS, rows
 from benchmarks.peer_planners import Task
 from benchmarks.peers import chosen_scenarios, main
-from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.device.devices import choose
-from htcp_jax.model import Task as Constraint
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 
 
@@ -34,8 +31,7 @@ def batch():
 @pytest.fixture(scope="module")
 def problem(batch):
     settings = batch.points[0].config.settings
-    task, obstacles = Constraint(tolerance_m=settings.tolerance_m), make_obstacle(batch.workpiece)
-    return Problem(batch.robot, batch.workpiece, batch.scenarios, settings, task, obstacles, choose(), 1)
+    return Problem.of(batch.robot, batch.workpiece, batch.scenarios, settings, execution=Execution(threads=1))
 
 
 @pytest.mark.slow
@@ -115,12 +111,11 @@ def test_descartes_finds_the_shortest_path_through_a_ladder():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PEERS)
-def test_every_target_that_a_peer_claims_is_executable(batch, name):
+def test_every_target_that_a_peer_claims_is_executable(problem, name):
     _, kind, _ = PEERS[name]
     made = getattr(module(name), kind)
     method = made(5.0) if name == "ompl-projected" else made()
-    settings = batch.points[0].config.settings
-    plans = plan(batch.robot, batch.workpiece, batch.scenarios, _registered(method), settings, threads=1)
+    plans = plan(problem, _registered(method))
     assert plans.tracked.sum() >= 40 and (plans.executable == plans.tracked).all()
 
 

@@ -14,10 +14,12 @@ from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, PREPARE
-from htcp_jax.planning import start_clearance
-from htcp_jax.planning.batch import check_start, plan
-from htcp_jax.planning.registry import find, names
+from htcp_jax.motion import Problem
+from htcp_jax.motion.start_check import check_start, start_contact
+from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, CLEAR, PREPARE
+from htcp_jax.planning.batch import plan
+from htcp_jax.planning.methods import find
+from htcp_jax.planning.registry import names
 from htcp_jax.planning.tracking import StepQPs
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.settings import Settings, settings_of
@@ -46,7 +48,7 @@ def poses():
 
 @cache
 def planned(method):
-    return plan(*scene(), poses(), method, PAPER)
+    return plan(Problem.of(*scene(), poses(), PAPER), method)
 
 
 _ENDS, _TCP = jax.jit(capsule_segments), jax.jit(tcp_position)
@@ -145,15 +147,15 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
     fail, and everything would take twice the time.
     """
     planned("nspace-sqp")
-    programs = EXECUTABLES.executables_of(PREPARE, ADVANCE, ADVANCE_SMALLEST, PATH_CLEAR, ENTER)
-    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "check_path", "enter"}
+    programs = made_once.compiled_from(EXECUTABLES, PREPARE, ADVANCE, ADVANCE_SMALLEST, CLEAR, ENTER)
+    assert {lane_function.name for lane_function, _ in programs} >= {"prepare", "advance", "is_clear", "enter"}
     for lane_function, program in programs:
         assert " while(" not in program.as_text().partition("\nENTRY ")[2], lane_function.name
 
 
 def test_an_unchecked_path_is_unknown():
     unchecked = replace(toy.SETTINGS, path_check="none")
-    assert (toy.planned(method="baseline", settings=unchecked, check_paths=False).path_clear == -1).all()
+    assert (toy.planned(method="baseline", settings=unchecked, checks=False).path_clear == -1).all()
 
 
 def test_scenarios_of_different_lengths_and_tools_share_a_batch():
@@ -171,7 +173,7 @@ def test_scenarios_of_different_lengths_and_tools_share_a_batch():
 
 def test_progress_counts_up_to_everything_that_was_done():
     heard = []
-    plans = toy.planned(method="baseline", progress=heard.append, threads=2, check_paths=False)
+    plans = toy.planned(method="baseline", progress=heard.append, threads=2, checks=False)
     last, several = heard[-1], toy.scenarios()
     assert last.scenarios_done == last.scenarios == len(several)
     assert last.targets == sum(int(one.count) for one in several)
@@ -192,7 +194,7 @@ def test_the_start_itself_is_the_first_target():
 @pytest.mark.parametrize("check", ["recoveries", "all"])
 def test_a_checked_path_is_never_blocked(check):
     settings = Settings(**{**made_once.PAPER_CHOICES, "path_check": check})
-    plans = plan(*scene(), poses(), "nspace-sqp", settings)
+    plans = plan(Problem.of(*scene(), poses(), settings), "nspace-sqp")
     recovered = plans.status == Status.TRACKED_AFTER_RECOVERY
     must = recovered if check == "recoveries" else plans.status <= Status.TRACKED_AFTER_RECOVERY
     assert must.sum() > 2 and (plans.path_clear[must] == 1).all()
@@ -214,7 +216,7 @@ def test_the_prose_of_the_paper_tracks_again_after_a_recovery():
     lasted = {}
     for about in ("reference", "previous"):
         settings = Settings(**{**made_once.PAPER_CHOICES, "cost_about": about}, after_recovery="track")
-        plans = plan(*scene(), poses(), "nspace-sqp", settings, check_paths=False)
+        plans = plan(Problem.of(*scene(), poses(), settings, check_paths=False), "nspace-sqp")
         recovered = plans.status == Status.TRACKED_AFTER_RECOVERY
         lasted[about] = recovered.sum()
         assert (plans.residual[recovered] <= settings.tolerance_m).all() and (plans.clearance[recovered] > 0).all()
@@ -223,22 +225,22 @@ def test_the_prose_of_the_paper_tracks_again_after_a_recovery():
 
 def test_what_cannot_be_planned_is_refused_by_name():
     with pytest.raises(InputError, match=r"'nspace-sqq' is not a method; valid: baseline, .*hybrid"):
-        plan(*scene(), poses(), "nspace-sqq")
+        plan(Problem.of(*scene(), poses()), "nspace-sqq")
     with pytest.raises(InputError, match=r"q_weights has 2 values.*6 joints"):
-        plan(*scene(), poses(), "baseline", Settings(q_weights=(1.0, 1.0)))
+        plan(Problem.of(*scene(), poses(), Settings(q_weights=(1.0, 1.0))), "baseline")
     with pytest.raises(InputError, match="no scenarios"):
-        plan(*scene(), [], "baseline")
+        plan(Problem.of(*scene(), []), "baseline")
     with pytest.raises(InputError, match="'nosuch' is not installed"):
-        plan(*scene(), poses(), "baseline", Settings(qp="qpsolvers:nosuch"))
+        plan(Problem.of(*scene(), poses(), Settings(qp="qpsolvers:nosuch")), "baseline")
 
 
 def test_a_start_in_collision_is_refused_with_its_body_and_depth():
     robot, duct = scene()
     check_start(robot, duct, scenario())
-    D, body, _ = start_clearance(robot, duct, scenario())
+    D, body, *_ = start_contact(robot, duct, scenario())
     np.testing.assert_allclose(D, numpy_D(robot, duct, scenario(), np.array(made_once.START)), atol=1e-14)
     stuck = scenario(start=np.load(made_once.RECORDED)["x"][1])
-    deep, body, other = start_clearance(robot, duct, stuck)
+    deep, body, other, _ = start_contact(robot, duct, stuck)
     assert deep < 0 and other == "the workpiece"
     with pytest.raises(
         InputError, match=re.escape(f"start is in collision: {body} is {-1e3 * deep:.3f} mm inside the workpiece")
@@ -272,5 +274,5 @@ def test_settings_are_a_mapping_too():
 )
 def test_wrong_settings_are_one_line(settings, line):
     with pytest.raises(InputError, match=line) as error:
-        plan(*scene(), scenario(), "baseline", settings)
+        plan(Problem.of(*scene(), scenario(), settings), "baseline")
     assert "\n" not in str(error.value)

@@ -124,7 +124,7 @@ def test_a_method_of_this_process_plans_here():
     try:
         toy.planned(method="here", processes=2)
     finally:
-        METHODS.unregister("here")
+        METHODS._own.pop("here")
     assert Here.seen == (os.getpid(),)
 
 

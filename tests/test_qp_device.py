@@ -11,7 +11,7 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import Plans, Problem
+from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.methods import BUILT_IN
@@ -122,7 +122,8 @@ def recorded(settings, margin_m) -> StepQP:
     scene = gp50(), load_workpiece()
     hard = [(0.8, -0.3), (0.7, 0.3), (0.6, 0.0), (0.2, -0.3)]
     method = Recorded()
-    plan(*scene, [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard], method, settings)
+    scenarios = [make_scenario(*scene, START, rotation=r, margin_m=margin_m) for r in hard]
+    plan(Problem.of(*scene, scenarios, settings), method)
     return jax.tree.map(lambda *part: np.concatenate(part), *method.seen)
 
 
@@ -148,9 +149,9 @@ def test_planning_with_it_tracks_the_same_targets_and_does_not_depend_on_the_bat
         make_scenario(*scene, START, rotation=r, margin_m=5e-4, number=k)
         for k, r in enumerate([(0.4, 0.1), (0.8, -0.3), (0.7, 0.3)])
     ]
-    device = plan(*scene, scenarios, "nspace-sqp", settings, threads=2)
-    host = plan(*scene, stack(scenarios), "nspace-sqp", Settings())
+    device = plan(Problem.of(*scene, scenarios, settings, execution=Execution(threads=2)), "nspace-sqp")
+    host = plan(Problem.of(*scene, stack(scenarios), Settings()), "nspace-sqp")
     np.testing.assert_array_equal(device.status == Status.NOT_ATTEMPTED, host.status == Status.NOT_ATTEMPTED)
-    alone = plan(*scene, scenarios[1:2], "nspace-sqp", settings)
+    alone = plan(Problem.of(*scene, scenarios[1:2], settings), "nspace-sqp")
     for name in ("x", "status", "clearance", "iterations"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(device, name)[1], err_msg=name)

@@ -72,7 +72,7 @@ def all_branches(robot, tolerance_m, at, R, rho):
 def arm_cells(scene, s, x, about, turns):
     """Wrist position at x, and the bounds of the cell of the joints before the wrist."""
     where = point_positions(scene.robot, x, wrist(scene.robot).on_arm[None], (3,))[0]
-    return where, arm_cell(scene, s, s.margin_m, s.target, about, turns)
+    return where, arm_cell(scene, s, s.target, about, turns)
 
 
 def tcp_and_links(robot, x):

@@ -277,7 +277,7 @@ def test_the_command_says_what_is_in_collision_and_which_scenario_it_is(made, pl
     obstruction = replays_of("by hand", made[0]).replay(0, "baseline").obstruction
     assert f"{obstruction.description}\n" in capsys.readouterr().out
     assert main(["render", str(planned / "run"), "--scenario", "1", *words]) == 0
-    assert "baseline, scenario 1: rotation y 0.5 rad, tool 0 m" in capsys.readouterr().out
+    assert "baseline, scenario 1: rotation y 0.5 rad, tool extension 0 m" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from htcp_jax.model.built_in_rows import AxisTowards
 from htcp_jax.model.path_frames import tangents
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import motion as motions
-from htcp_jax.planning.batch import Progress, plan
+from htcp_jax.planning.batch import Progress
 from htcp_jax.planning.repeated_targets import are_distinct
 from htcp_jax.spec.config import ProgramConfig
 from htcp_jax.status import Kind, SegmentStatus, Status
@@ -39,8 +39,7 @@ def planned(counts=(1,) * 6, off_m=0.0, method="beam", **changes):
     path[1::2, 0] += off_m
     reported: list[Progress] = []
     settings = replace(toy.SETTINGS, **changes)
-    how = {"progress": reported.append, "threads": 1}
-    return plan(toy.robot(), toy.workpiece(), [scenario(path)], method, settings, **how), reported
+    return toy.planned([scenario(path)], method, settings, reported.append, threads=1), reported
 
 
 def rows_of(counts):
@@ -111,7 +110,7 @@ def test_repeated_rows_after_a_failure_are_not_attempted():
     beyond = make_scenario(toy.robot(), replace(toy.workpiece(), path=PATH[:4]), None, rotation=(0.0, 0.0))
     targets = beyond.targets.copy()
     targets[FIRST:] = path
-    found = plan(toy.robot(), toy.workpiece(), [replace(beyond, targets=targets)], "baseline", toy.SETTINGS, threads=1)
+    found = toy.planned([replace(beyond, targets=targets)], "baseline", threads=1)
     assert found.status[0, -2] not in (Status.TRACKED, Status.NOT_ATTEMPTED)
     assert found.status[0, -1] == Status.NOT_ATTEMPTED and np.isnan(found.x[0, -1]).all()
 
@@ -119,9 +118,9 @@ def test_repeated_rows_after_a_failure_are_not_attempted():
 def test_scenarios_of_a_batch_have_their_own_repeated_rows():
     paths = [np.repeat(PATH, counts, axis=0) for counts in ((1,) * 6, (2, 1, 1, 1, 1, 2), (1, 1, 4, 1, 1, 1))]
     batch = [scenario(path, k) for k, path in enumerate(paths)]
-    together = plan(toy.robot(), toy.workpiece(), batch, "beam", toy.SETTINGS, threads=1)
+    together = toy.planned(batch, "beam", threads=1)
     for k, one in enumerate(batch):
-        alone = plan(toy.robot(), toy.workpiece(), [one], "beam", toy.SETTINGS, threads=1)
+        alone = toy.planned([one], "beam", threads=1)
         assert np.array_equal(together.x[k, : len(one.targets)], alone.x[0])
         assert (together.exists[k].sum()) == len(one.targets)
 

@@ -21,15 +21,15 @@ from htcp_jax.model import Scenario
 from htcp_jax.motion import Plans
 from htcp_jax.motion.motion import MotionFigures
 from htcp_jax.reachability import Obstruction
-from htcp_jax.report import Column, Table, make_report, paper, tables, write_report
+from htcp_jax.report import Table, make_report, paper, tables, write_report
 from htcp_jax.report.best import best_scenarios
 from htcp_jax.report.cell import OpenedScene
-from htcp_jax.report.chapter import answer, chapter, choice, label, part_facts, tables_of
+from htcp_jax.report.chapter import answer, chapter, choice, part_facts, tables_of
 from htcp_jax.report.document import Heading, Picture, html, markdown
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.report import Report, overview
-from htcp_jax.runs import Run, open_run
+from htcp_jax.runs import Column, Run, columns, open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.sweep import keep_plans
@@ -368,7 +368,7 @@ def test_ranges_and_slices_carry_their_units(folder):
     reported = " ".join(part_facts(part_of(folder, "poses")))
     assert "rotation y (0.2 to 0.8 rad, 11.5 to 45.8 degrees)" in reported
     titles = [axes.get_title() for axes in report_of(folder, "starts").figures["map"].axes]
-    assert "start joint 3 = 0.3 rad" in titles
+    assert "start joint3 = 0.3 rad" in titles
 
 
 def test_what_was_run_is_reported_with_every_deviation(folder):
@@ -378,12 +378,21 @@ def test_what_was_run_is_reported_with_every_deviation(folder):
     assert str(folder) not in " ".join(part_facts(part_of(folder, "poses")))
 
 
+def test_every_column_of_the_report_has_the_heading_of_its_key(folder):
+    """All tables but those whose columns are runs."""
+    blocks = report_of(folder, "poses", "starts").blocks
+    tables = [each for each in blocks if isinstance(each, Table) and each.name not in ("overview", "configuration")]
+    shown = {(column.key, column.heading) for table in tables for column in table.columns}
+    assert len(shown) > 40
+    assert {key for key, heading in shown if heading not in (columns.column(key).heading, "of")} == set()
+
+
 def test_groups_are_parts_with_tables_of_their_own(folder):
     report = report_of(folder, "groups", "one")
     assert [part.name for part in report.parts] == ["groups: first", "groups: second", "one"]
     assert [len(part.numbers) for part in report.parts] == [2, 3, 2]
     assert [
-        column.head
+        column.heading
         for column in overview(
             {p.name: t["results"] for p, t in zip(report.parts, report.part_tables, strict=True)}
         ).columns
@@ -576,12 +585,12 @@ def test_tables_are_aligned_and_safe_in_markdown_and_html():
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("start_joint3_rad", "start joint 3 [rad]"),
+        ("start_joint3_rad", "start joint3 [rad]"),
         ("rotation_y_rad", "rotation y [rad]"),
-        ("shift_x_m", "workpiece along x [m]"),
+        ("shift_x_m", "shift x [m]"),
         ("tool_extension_m", "tool extension [m]"),
         ("path", "path"),
     ],
 )
 def test_parameters_have_readable_names_with_units(name, text):
-    assert label(name) == text
+    assert columns.column(name).title == text

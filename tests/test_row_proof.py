@@ -12,12 +12,12 @@ from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.motion_proof import Tube, prove
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
-from htcp_jax.model import PathFrames, Task, TaskRow, Workpiece
+from htcp_jax.model import PathFrames, Task, Workpiece
 from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.settings import Settings
-from htcp_jax.spec import GP50
+from htcp_jax.spec import GP50, AxisRow, BuiltInRow, OrientationRow, PointRow
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import PartPose, hold_between
@@ -62,24 +62,24 @@ def tool() -> np.ndarray:
 
 
 @cache
-def rows() -> tuple[TaskRow, ...]:
+def rows() -> tuple[BuiltInRow, ...]:
     """One row of each kind, which hold at the configurations, at least approximately."""
     T, fourth = tool()[0], np.asarray(link_poses(made_once.robot(), jnp.asarray(made_once.START)))[3]
     ahead, elbow = tuple(T[:3, 3] + 0.4 * T[:3, 2]), tuple(fourth[:3, 3])
     return (
-        TaskRow(point="tcp", on="path", axes="z"),
-        TaskRow(point="tcp", on="path", axes="yz", frame="path"),
-        TaskRow(point="tcp", on="path", within_m=0.004),
-        TaskRow(point="link4", on="plane", through_m=elbow, normal=(1.0, 2.0, 0.5), within_m=0.01),
-        TaskRow(point="link4", on="line", through_m=elbow, direction=(1.0, 2.0, 0.5), offset_m=(0.0, 0.0, 0.0)),
-        TaskRow(point="link4", on=elbow),
-        TaskRow(axis="tcp.z", towards="-path.normal"),
-        TaskRow(axis="tcp.z", towards="-path.normal", cone_deg=2.0),
-        TaskRow(axis="link4.y", towards=tuple(fourth[:3, 1])),
-        TaskRow(axis="tcp.z", looks_at_m=ahead, cone_deg=4.0),
-        TaskRow(axis="tcp.z", looks_at_m=ahead),
-        TaskRow(orientation="path"),
-        TaskRow(orientation="path", within_deg=3.0),
+        PointRow(point="tcp", on="path", axes="z"),
+        PointRow(point="tcp", on="path", axes="yz", frame="path"),
+        PointRow(point="tcp", on="path", within_m=0.004),
+        PointRow(point="link4", on="plane", through_m=elbow, normal=(1.0, 2.0, 0.5), within_m=0.01),
+        PointRow(point="link4", on="line", through_m=elbow, direction=(1.0, 2.0, 0.5), offset_m=(0.0, 0.0, 0.0)),
+        PointRow(point="link4", on=elbow),
+        AxisRow(axis="tcp.z", towards="-path.normal"),
+        AxisRow(axis="tcp.z", towards="-path.normal", cone_deg=2.0),
+        AxisRow(axis="link4.y", towards=tuple(fourth[:3, 1])),
+        AxisRow(axis="tcp.z", looks_at_m=ahead, cone_deg=4.0),
+        AxisRow(axis="tcp.z", looks_at_m=ahead),
+        OrientationRow(orientation="path"),
+        OrientationRow(orientation="path", within_deg=3.0),
     )
 
 

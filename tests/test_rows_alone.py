@@ -17,16 +17,14 @@ from htcp_jax.model.scenario import stack
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PREPARE, PROVE, SETTLE, TRACK_CHUNK, ProofResolution
-from htcp_jax.planning.methods import BUILT_IN
-from htcp_jax.planning.registry import find
+from htcp_jax.motion.step_functions import ADVANCE, CLEAR, PREPARE, PROVE, SETTLE, TRACK_CHUNK, ProofResolution
+from htcp_jax.planning.methods import BUILT_IN, find
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.reachability import reachable_prefixes
 
 LANES = 150  # more than a table holds
 KERNELS = {
-    lane_function.name: lane_function
-    for lane_function in (ADVANCE, PREPARE, TRACK_CHUNK, SETTLE, ENTER, PATH_CLEAR, PROVE)
+    lane_function.name: lane_function for lane_function in (ADVANCE, PREPARE, TRACK_CHUNK, SETTLE, ENTER, CLEAR, PROVE)
 }
 
 
@@ -48,7 +46,7 @@ def calls() -> dict[str, tuple]:
         TRACK_CHUNK: (state.x, a, state.linear, zero),
         SETTLE: (a,),
         ENTER: (a,),
-        PATH_CLEAR: (a, b),
+        CLEAR: (a,),
         PROVE: (a, b, tube, closely),
     }
     return {lane_function.name: (inputs, *own) for lane_function, own in tables.items()}

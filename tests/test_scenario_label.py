@@ -13,15 +13,15 @@ def test_scenarios_are_named_by_what_varies_in_their_run(planned):
     """Labels of scenarios by the parameters that vary (regression: only the data files had the values)."""
     labels = labels_of(open_run(planned / "run").scenarios())
     assert labels == {
-        0: "rotation y 0.4 rad, tool 0 m",
-        1: "rotation y 0.5 rad, tool 0 m",
-        2: f"rotation y 0.4 rad, tool {LONGER} m",
-        3: f"rotation y 0.5 rad, tool {LONGER} m",
+        0: "rotation y 0.4 rad, tool extension 0 m",
+        1: "rotation y 0.5 rad, tool extension 0 m",
+        2: f"rotation y 0.4 rad, tool extension {LONGER} m",
+        3: f"rotation y 0.5 rad, tool extension {LONGER} m",
     }
 
 
 def test_a_shelf_knows_the_labels_of_its_run(planned):
-    assert open_replays(planned / "run").label(3) == f"3: rotation y 0.5 rad, tool {LONGER} m"
+    assert open_replays(planned / "run").label(3) == f"3: rotation y 0.5 rad, tool extension {LONGER} m"
 
 
 def test_any_column_that_is_no_result_is_a_parameter():
@@ -48,6 +48,6 @@ def test_parameters_that_go_together_are_reported_once():
 
 
 def test_numbers_are_short_and_carry_their_unit():
-    assert part("shift_z_m", -0.1) == "height -0.1 m"
-    assert part("start_joint3_rad", 0.1 + 0.2) == "joint3 0.3 rad"
+    assert part("shift_z_m", -0.1) == "shift z -0.1 m"
+    assert part("start_joint3_rad", 0.1 + 0.2) == "start joint3 0.3 rad"
     assert part("path", "seam.csv") == "path seam.csv"

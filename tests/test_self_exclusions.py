@@ -27,8 +27,9 @@ from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import obstacles_of, scene
 from htcp_jax.model.kinematics import capsule_segments
+from htcp_jax.motion import Problem
+from htcp_jax.motion.start_check import check_start
 from htcp_jax.planning import batch
-from htcp_jax.planning.batch import check_start
 from htcp_jax.status import Status
 
 ARM = """<mujoco model="shelf"><compiler angle="radian"/><worldbody>
@@ -210,9 +211,8 @@ def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
     with_pair(arm, "c")
     config = load_config(job(arm, tmp_path, FOLDED))
     robot, workpiece, scenario = scene(config)
-    plans = batch.plan(
-        robot, workpiece, scenario, "baseline", config.settings, obstacles=obstacles_of(config.cell, robot)
-    )
+    obstacles = obstacles_of(config.cell, robot)
+    plans = batch.plan(Problem.of(robot, workpiece, scenario, config.settings, obstacles=obstacles), "baseline")
     assert plans.status[0, 0] == Status.START_IN_COLLISION
 
 

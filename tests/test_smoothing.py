@@ -15,6 +15,7 @@ from small_motions import (
     check_motions,
     check_rows,
     first_of,
+    in_duct,
     plan_by_beam,
     planned,
     poses,
@@ -23,12 +24,9 @@ from small_motions import (
     segments,
 )
 
-from htcp_jax.device.devices import choose
 from htcp_jax.errors import InputError
-from htcp_jax.model import Task
 from htcp_jax.model.kinematics import jacobian, tcp_position
-from htcp_jax.model.scenario import stack
-from htcp_jax.motion import Problem, ViaPoints, smoothing
+from htcp_jax.motion import ViaPoints, smoothing
 from htcp_jax.motion.motion_check import verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
@@ -46,7 +44,7 @@ def smoothed():
 @cache
 def of_baseline(smooth):
     """Baseline plans, tracked further than they are a motion."""
-    return plan(made_once.robot(), made_once.duct(), poses(), "baseline", replace(NARROW, smooth=smooth), threads=1)
+    return plan(in_duct(poses(), replace(NARROW, smooth=smooth), threads=1), "baseline")
 
 
 def steps(plans, s):
@@ -67,8 +65,7 @@ def dwells(plans, s):
 def smooth_again(scenarios, plans, settings=SMOOTH, **changes):
     """Change these plans, validate and smooth them, as if a method had made them."""
     plans = plans._replace(**{name: array.copy() for name, array in plans.arrays().items()})._replace(**changes)
-    scene, devices, task = made_once.scene(), choose(None), Task(tolerance_m=settings.tolerance_m)
-    problem = Problem(scene[0], made_once.duct(), stack(scenarios), settings, task, scene[1], devices, 1)
+    problem = in_duct(scenarios, settings, threads=1)
     plans = smoothing.smooth(problem, verify_motions(problem, plans))
     return verify_motions(problem, plans)
 

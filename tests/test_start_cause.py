@@ -13,9 +13,9 @@ from htcp_jax.jobs.build import scene
 from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import stack, without_pose
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.start_cause import nearest_bodies, start_causes
-from htcp_jax.planning.batch import check_start
+from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.tables import CAUSE, STEPS, scenario_table, with_new_columns
 from htcp_jax.status import Status
 
@@ -30,7 +30,7 @@ def cause_of(cloud: np.ndarray, status: Status, path=POINT, start=None, task: Ta
     part = Workpiece("part", cloud, np.array([path, path + 1e-3]), **choices)
     scenarios = stack([make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0))])
     task = Task(tolerance_m=1e-3) if task is None else task
-    found = start_causes(toy.robot(), part, scenarios, np.array([status]), toy.SETTINGS, task, ())[0]
+    found = start_causes(Problem(toy.robot(), part, scenarios, toy.SETTINGS, task), np.array([status]))[0]
     assert found.description.startswith(PLACE), "the part has no pose"
     return found._replace(description=found.description.removeprefix(PLACE))
 
@@ -65,8 +65,8 @@ def test_the_pair_with_the_minimum_clearance_is_named():
     choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
     part = Workpiece("part", np.array([[0.0, 0.15, 0.9]]).repeat(4, 0), np.array([POINT, POINT + 1e-3]), **choices)
     scenario = make_scenario(toy.robot(), part, (0.0,) * 4, rotation=(0.0, 0.0), approach=(0, 0))
-    found = nearest_bodies(toy.robot(), part, scenario, np.zeros(4), toy.SETTINGS, Task(tolerance_m=1e-3), ())
-    assert found == ("capsule forearm", "the workpiece")
+    problem = Problem(toy.robot(), part, stack([scenario]), toy.SETTINGS, Task(tolerance_m=1e-3))
+    assert nearest_bodies(problem, np.zeros(4)) == ("capsule forearm", "the workpiece")
 
 
 def test_the_attempt_with_the_least_overlap_is_kept():

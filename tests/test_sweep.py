@@ -14,7 +14,7 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.motion import Plans, Problem
-from htcp_jax.planning import batch, registry
+from htcp_jax.planning import batch, methods, registry
 from htcp_jax.planning.method import Method
 from htcp_jax.runs import Run, RunningSummary, open_run
 from htcp_jax.runs.summary import Summary, summarise
@@ -63,9 +63,9 @@ def test_each_scenario_is_planned_as_it_would_be_alone_however_the_grid_is_cut(h
     assert whole.complete and whole.methods == ("baseline", "keep-clear")
     assert cut.targets().equals(whole.targets("baseline")) and cut.scenarios().equals(whole.scenarios("baseline"))
     requested = load_sweep("grid.yaml").batch()
-    alone = batch.plan(
-        requested.robot, requested.workpiece, requested.scenarios, "baseline", load_sweep("grid.yaml").config.settings
-    )
+    settings = load_sweep("grid.yaml").config.settings
+    problem = Problem.of(requested.robot, requested.workpiece, requested.scenarios, settings)
+    alone = batch.plan(problem, "baseline")
     for name, value in whole.plans("baseline")._asdict().items():
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(value, getattr(alone, name), err_msg=name)
@@ -205,7 +205,7 @@ class Stopped(Method):
         self.shards += 1
         if self.shards == 2:
             os.kill(os.getpid(), signal.SIGTERM)
-        return registry.find("baseline").plan(problem)
+        return methods.find("baseline").plan(problem)
 
 
 def test_the_command_says_how_to_go_on_after_a_signal(small, capsys):
@@ -213,7 +213,7 @@ def test_the_command_says_how_to_go_on_after_a_signal(small, capsys):
     try:
         assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
     finally:
-        registry.METHODS.unregister("stopped")
+        registry.METHODS._own.pop("stopped")
     reported = "htcp: stopped; 1 of 3 shards are finished in run; run the same command to resume\n"
     assert capsys.readouterr().err == reported
 

@@ -7,7 +7,8 @@ from small_run import toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.cli.output import print_table, stdout
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
+from htcp_jax.runs import Column
 
 WIDE = Table(
     "wide",

@@ -18,6 +18,7 @@ from htcp_jax.model.kinematics import link_poses, tcp_position
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.model.task import TCP_POSITION
 from htcp_jax.model.task_rows import TaskPoint
+from htcp_jax.motion import Problem
 from htcp_jax.numerics import null_basis
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
@@ -145,7 +146,7 @@ def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_n
     xs = start + np.linspace(0, 1, 4)[:, None] * np.array([0.02, 0.03, -0.02, 0.04, 0.03, 0.05])
     free, lost = along(task, xs), along(task, xs, number=1)
     lost.targets[2:] += 5.0  # out of the arm's reach
-    plans = plan(made_once.robot(), made_once.duct(), [free, lost], "nspace-sqp", task=task)
+    plans = plan(Problem.of(made_once.robot(), made_once.duct(), [free, lost], task=task), "nspace-sqp")
     assert plans.tracked[0].all() and plans.outcome(0).complete
     for x, target in zip(plans.x[0], plans.target[0], strict=True):
         assert task.reached(task.residual_at(made_once.robot(), jnp.asarray(x), jnp.asarray(target)))
@@ -157,7 +158,7 @@ def test_a_task_with_as_many_rows_as_joints_is_planned_and_says_where_there_is_n
 def test_targets_must_have_as_many_numbers_as_the_task_has_rows():
     scenario = make_scenario(made_once.robot(), made_once.duct(), made_once.START)
     with pytest.raises(InputError, match="the task has 1 equations, but the targets have 3 numbers"):
-        plan(made_once.robot(), made_once.duct(), scenario, "baseline", task=TASKS["its height"])
+        plan(Problem.of(made_once.robot(), made_once.duct(), scenario, task=TASKS["its height"]), "baseline")
 
 
 def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
@@ -178,7 +179,8 @@ def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
 
     height_m = sorted(above(0.0, x) for x in xs)[1]  # some configurations are nearer than the margin
     free, kept = (  # with a floor far below all configurations, and with this one
-        plan(robot, duct, scenario, "baseline", obstacles=(Floor(jnp.asarray(height)),)) for height in (-1e3, height_m)
+        plan(Problem.of(robot, duct, scenario, obstacles=(Floor(jnp.asarray(height)),)), "baseline")
+        for height in (-1e3, height_m)
     )
     assert free.tracked.all() and min(above(height_m, x) for x in free.x[0]) < margin_m
     for x in kept.x[kept.tracked]:

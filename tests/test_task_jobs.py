@@ -15,6 +15,7 @@ from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import link_poses, tcp_pose
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.spec import GP50
@@ -34,7 +35,7 @@ def free_plan():
     """Configurations of the default job with a free tool orientation, and the workpiece's pose."""
     job = load_config({"method": "baseline", "settings": NO_SEGMENTS})
     robot, part, scenario = scene(job)
-    plans = plan(robot, part, scenario, "baseline", job.settings, check_paths=False)
+    plans = plan(Problem.of(robot, part, scenario, job.settings, check_paths=False), "baseline")
     assert plans.tracked.all()
     return plans.x[0], np.asarray(scenario.T_world_workpiece)
 
@@ -83,7 +84,7 @@ def planned(task: list[dict], path: str = "weld", method: str = "baseline"):
     job = load_config({"task": task, "workpiece": {"path": path}, "method": method, "settings": settings})
     robot, part, scenario = scene(job)
     held = task_of_job(job, robot)
-    plans = plan(robot, part, scenario, method, job.settings, check_paths=False, task=held)
+    plans = plan(Problem.of(robot, part, scenario, job.settings, held, check_paths=False), method)
     return plans, held, confirmed(job, part, scenario, plans)
 
 
@@ -161,10 +162,10 @@ def test_a_scenario_with_a_cone_is_the_same_alone_and_among_others_with_other_co
     batch = sweep.batch()
     [(robot, part, settings, task, obstacles)] = batch.cells
     how = {"settings": settings, "task": task, "obstacles": obstacles, "check_paths": False}
-    together = plan(robot, part, batch.scenarios, "nspace-sqp", threads=2, **how)
+    together = plan(Problem.of(robot, part, batch.scenarios, execution=Execution(threads=2), **how), "nspace-sqp")
     assert len(set(together.tracked.sum(axis=1).tolist())) > 1
     for k in range(3):
         one = jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], batch.scenarios)
-        alone = plan(robot, part, one, "nspace-sqp", threads=1, **how)
+        alone = plan(Problem.of(robot, part, one, execution=Execution(threads=1), **how), "nspace-sqp")
         for name in ("x", "status", "clearance", "residual"):
             np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[k], err_msg=name)

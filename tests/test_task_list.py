@@ -12,12 +12,12 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import PathFrames, TaskRow
-from htcp_jax.model.duct import section_value
+from htcp_jax.model import PathFrames
 from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.path_frames import tangents, wall_normals
 from htcp_jax.model.task import TCP_POSITION
+from htcp_jax.spec import AxisRow, OrientationRow, PointRow
 
 ON_PATH = {"point": "tcp", "on": "path"}
 UP = (0.0, 0.0, 2.0)
@@ -40,16 +40,16 @@ def test_a_job_without_a_task_has_the_papers_and_so_has_one_that_writes_it_out()
 def test_the_rows_follow_from_the_list():
     robot = made_once.robot()
     for row, rows, bands in [
-        (TaskRow(point="tcp", on="path", axes="xz"), 2, 0),
-        (TaskRow(point="link3", on="plane", through_m=UP, normal=UP), 1, 0),
-        (TaskRow(point="tcp", on="line", through_m=UP, direction=UP), 2, 0),
-        (TaskRow(point="tcp", on="line", through_m=UP, direction=UP, within_m=0.1), 0, 4),
-        (TaskRow(point="tcp", on=(1.0, 0.0, 1.0)), 3, 0),
-        (TaskRow(axis="tcp.z", towards="path.normal"), 2, 0),
-        (TaskRow(axis="tcp.z", towards="path.normal", cone_deg=0.0), 2, 0),
-        (TaskRow(axis="-link5.x", towards=UP, within_deg=10.0), 0, 1),
-        (TaskRow(orientation=(1.0, 0.0, 0.0, 0.0)), 3, 0),
-        (TaskRow(orientation="path", within_deg=3.0), 0, 1),
+        (PointRow(point="tcp", on="path", axes="xz"), 2, 0),
+        (PointRow(point="link3", on="plane", through_m=UP, normal=UP), 1, 0),
+        (PointRow(point="tcp", on="line", through_m=UP, direction=UP), 2, 0),
+        (PointRow(point="tcp", on="line", through_m=UP, direction=UP, within_m=0.1), 0, 4),
+        (PointRow(point="tcp", on=(1.0, 0.0, 1.0)), 3, 0),
+        (AxisRow(axis="tcp.z", towards="path.normal"), 2, 0),
+        (AxisRow(axis="tcp.z", towards="path.normal", cone_deg=0.0), 2, 0),
+        (AxisRow(axis="-link5.x", towards=UP, within_deg=10.0), 0, 1),
+        (OrientationRow(orientation=(1.0, 0.0, 0.0, 0.0)), 3, 0),
+        (OrientationRow(orientation="path", within_deg=3.0), 0, 1),
     ]:
         task = task_of([row], robot)
         assert (task.rows, task.bands) == (rows, bands), row
@@ -147,9 +147,11 @@ def test_what_cannot_be_is_named_before_planning(rows, message):
 def test_the_wall_normals_of_the_duct_are_those_of_its_sections_and_point_into_its_bore():
     duct = made_once.duct()
     found, path = wall_normals(duct.cloud, duct.path), duct.path
-    inside = section_value(path[5:-8] + 0.02 * found[5:-8])  # the duct ends at the path's ends
-    assert (inside < section_value(path[5:-8])).all() and (inside < 0).all()
-    slope = np.stack([section_value(path + d) - section_value(path - d) for d in 1e-5 * np.eye(3)], axis=1)
+    inside = made_once.section_value(path[5:-8] + 0.02 * found[5:-8])  # the duct ends at the path's ends
+    assert (inside < made_once.section_value(path[5:-8])).all() and (inside < 0).all()
+    slope = np.stack(
+        [made_once.section_value(path + d) - made_once.section_value(path - d) for d in 1e-5 * np.eye(3)], axis=1
+    )
     across = -slope / np.linalg.norm(slope, axis=1, keepdims=True)
     assert np.degrees(np.arccos((across * found).sum(axis=1)[5:-8])).max() < 6
 

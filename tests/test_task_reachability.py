@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from small_motions import SMALL, check_segment, first_of, segments
 
-from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.device.devices import choose
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.planning.batch import plan
@@ -72,8 +70,7 @@ def test_a_task_that_holds_the_tcp_nowhere_is_searched_from_configurations_all_o
 
 
 def problem_of(job, robot, part, one):
-    how = make_obstacle(part), choose(None), 1
-    return Problem(robot, part, stack([one]), job.settings, task_of_job(job, robot), *how)
+    return Problem.of(robot, part, one, job.settings, task_of_job(job, robot), execution=Execution(threads=1))
 
 
 @pytest.mark.slow
@@ -92,7 +89,7 @@ def test_a_start_is_chosen_in_the_cone_and_joined_to_home():
     job = job_of([ON_PATH, {**CONE, "cone_deg": 60}], start_rad="auto", home_rad=HOME)
     robot, part, one = scene(job)
     one = first_of(one, 5)
-    plans = plan(robot, part, one, "beam", SMALL, task=task_of_job(job, robot))
+    plans = plan(Problem.of(robot, part, one, SMALL, task_of_job(job, robot)), "beam")
     assert plans.executable.all() and (plans.start[0] == HOME).all()
     np.testing.assert_array_equal(one.goals[0], one.goals[1])
     assert not broken(job, part, one, plans.x[0], np.arange(5))
@@ -109,7 +106,7 @@ def test_an_approach_in_free_space_ends_in_the_cone():
     targets, goals = one.targets.copy(), one.goals.copy()
     targets[5], goals[5, :3] = 9.0, 9.0
     one = replace(one, targets=targets, task_goals=goals)
-    plans = plan(robot, part, one, "beam", replace(SMALL, smooth=True), task=task_of_job(job, robot))
+    plans = plan(Problem.of(robot, part, one, replace(SMALL, smooth=True), task_of_job(job, robot)), "beam")
     assert plans.executable.all()
     assert not broken(job, part, one, plans.x[0, 1:], np.arange(1, 16))
     assert (one.goals[5, :3] == 9).all()

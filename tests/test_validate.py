@@ -263,7 +263,7 @@ def test_a_configuration_5_mm_in_the_wall_is_refuted_and_named(real, capsys):
     x = into_the_wall(scene(LONGER, 0.5), plans.x[3, target], 5e-3)
     spoil(real, 3, target, **{f"joint{j + 1}_rad": float(value) for j, value in enumerate(x)})
     assert main(["validate", str(real), "--between", "0"]) == 1
-    label = f"rotation y 0.5 rad, tool {LONGER} m"
+    label = f"rotation y 0.5 rad, tool extension {LONGER} m"
     assert f"baseline, scenario 3 ({label}), target {target}: " in capsys.readouterr().out
     found = json.loads((real / VALIDATION).read_text())
     (refuted,) = found["refuted"]

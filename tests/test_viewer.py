@@ -52,6 +52,11 @@ from htcp_jax.viewer.browser.texts import describe
 from htcp_jax.viewer.browser.timeline import ByTarget
 
 
+def arm_positions(stage) -> np.ndarray:
+    """Centres of the capsules and of the bare tip, and origins of the convex pieces' links, as drawn."""
+    return np.array([node.position for node in stage._arm])
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The folder of a plan made by hand."""
@@ -156,12 +161,12 @@ def spread(picture: np.ndarray) -> float:
 
 def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     assert viewer.target == 0 and page.get_by_text("Target 0").is_visible()
-    before, start = seen(page), viewer.stage.arm_positions
+    before, start = seen(page), arm_positions(viewer.stage)
     slider = page.get_by_role("slider").first
     step_to(page, viewer, slider, 6)
     replay = replays.replay(1, "baseline")
-    np.testing.assert_allclose(viewer.stage.arm_positions[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
-    assert np.abs(viewer.stage.arm_positions - start).max() > 0.1
+    np.testing.assert_allclose(arm_positions(viewer.stage)[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
+    assert np.abs(arm_positions(viewer.stage) - start).max() > 0.1
     page.get_by_text("tracked after a recovery.").wait_for()
     clearance = f"{1e3 * replay.clearance[6]:.4g} mm"
     page.get_by_text(clearance, exact=True).wait_for()
@@ -252,7 +257,7 @@ def test_play_passes_the_configurations_between_targets(page, viewer, replays):
     page.get_by_role("combobox").nth(0).click()
     page.get_by_role("option", name="beam").click()
     until(lambda: viewer.shown == (1, "beam"))
-    reported = " ".join(viewer.stage.mark_labels)
+    reported = " ".join(getattr(mark, "text", "") for mark in viewer.stage._marks)
     assert (
         "dwell at 4" in reported and "minimum clearance, on the segment to target 5: at least 0.2 mm proven" in reported
     )
@@ -278,7 +283,7 @@ def test_a_convex_piece_is_placed_like_its_link(tmp_path):
     pieces = body_pieces([make_piece(np.eye(3))] * 8, np.array([1.0] * 7 + [0.0]))
     viewer = Viewer(replays_of("pieces", replace(plan, robot=replace(plan.robot, pieces=pieces))), port=0)
     viewer.stage.pose(6)
-    x, placed = jnp.asarray(plan.plans.x[0, 6]), viewer.stage.arm_positions
+    x, placed = jnp.asarray(plan.plans.x[0, 6]), arm_positions(viewer.stage)
     viewer.stop()
     np.testing.assert_allclose(placed[:7], body_poses(plan.robot, x)[:7, :3, 3], atol=1e-6)
     np.testing.assert_allclose(placed[7], np.mean(capsule_segments(plan.robot, x), axis=0)[7], atol=1e-6)
@@ -295,7 +300,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
     step_to(page, viewer, slider, 0.3)
     p, q = capsule_segments(made.robot, jnp.asarray(made.program.at(np.array([viewer.place])).x[0]))
     middle = (np.asarray(p) + np.asarray(q)) / 2
-    np.testing.assert_allclose(viewer.stage.arm_positions[: len(middle)], middle, atol=1e-6)
+    np.testing.assert_allclose(arm_positions(viewer.stage)[: len(middle)], middle, atol=1e-6)
     page.get_by_text("0.30 s: approach, TCP").wait_for()
     began, from_s = time.monotonic(), viewer.place
     page.get_by_role("button", name="Play").click()
@@ -314,7 +319,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
 def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
     replays, programs = timed
     viewer, made = Viewer(replays, port=0, programs=programs), programs(0, "baseline")
-    curves, tcp, joints = Curves.of(made), viewer.plots.tcp, viewer.plots.joints
+    curves, tcp, joints = Curves.of(made), viewer._plots.tcp, viewer._plots.joints
     viewer.go_to(1.5)
     assert tcp.data[0][0] == 0 and tcp.data[0][-1] == pytest.approx(made.program.duration_s)
     for plot, own in ((tcp, curves.tcp_mm_s.values()), (joints, curves.share_percent.values())):

@@ -15,7 +15,7 @@ from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario_setup import make_scenario
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings
@@ -83,9 +83,15 @@ def scenarios() -> tuple[Scenario, ...]:
     )
 
 
-def planned(of=None, method: str = "beam", settings: Settings = SETTINGS, **choices) -> Plans:
-    """Plans of scenarios, by default of all."""
-    return plan(robot(), workpiece(), scenarios() if of is None else of, method, settings, **choices)
+def problem(of=None, settings: Settings = SETTINGS, part=None, checks: bool = True, **execution) -> Problem:
+    """Problem of scenarios, by default of all, at the shelf or another part; `execution`: of an `Execution`."""
+    made = robot(), part or workpiece(), scenarios() if of is None else of, settings
+    return Problem.of(*made, execution=Execution(**execution), check_paths=checks)
+
+
+def planned(of=None, method: str = "beam", settings: Settings = SETTINGS, progress=None, **more) -> Plans:
+    """Plans of a `problem`."""
+    return plan(problem(of, settings, **more), method, progress)
 
 
 @cache

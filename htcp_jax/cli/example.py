@@ -10,11 +10,12 @@ import typer
 
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, stdout
 from htcp_jax.errors import InputError
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
+from htcp_jax.runs import columns
 from htcp_jax.spec import examples
 from htcp_jax.system import output_files
 
-COLUMNS = Column("name", "name"), Column("command", "run by"), Column("description", "what it is")
+COLUMNS = "name", "command", "description"
 
 
 def complete_example(start: str) -> list[str]:
@@ -48,7 +49,7 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
     known = examples.examples()
     if name is None:
         rows = tuple((each, examples.command(each), examples.description(file)) for each, file in known.items())
-        table = Table("examples", COLUMNS, rows)
+        table = Table("examples", columns.of(*COLUMNS), rows)
         print_json(table.records()) if as_json else print_table(stdout(), table)
         return 0
     if name not in known:

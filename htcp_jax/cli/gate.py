@@ -12,7 +12,6 @@ from rich.text import Text
 
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
-from htcp_jax.report import Column, Table
 from htcp_jax.report import gate as gates
 from htcp_jax.runs import labels, manifest, open_run
 from htcp_jax.system import output_files
@@ -33,33 +32,6 @@ Markdown = Annotated[
     Path | None,
     typer.Option("--markdown", metavar="FILE", help="Append Markdown tables, for example to $GITHUB_STEP_SUMMARY."),
 ]
-
-COUNTS = (
-    Column("method", "method"),
-    Column("verdict", "verdict"),
-    Column("was_tracked", "tracked", "before", ",d"),
-    Column("tracked", "tracked", "now", ",d"),
-    Column("targets", "of", "", ",d"),
-    Column("worse", "scenarios", "earlier", "d"),
-    Column("better", "scenarios", "further", "d"),
-)
-FIGURES = (
-    Column("method", "method"),
-    Column("was_share", "reachable", "before %", ".2f"),
-    Column("share", "reachable", "now %", ".2f"),
-    Column("was_tcp_error_max_mm", "TCP error", "before mm", ".3f"),
-    Column("tcp_error_max_mm", "TCP error", "now mm", ".3f"),
-    Column("was_clearance_min_mm", "clearance", "before mm", ".3g"),
-    Column("clearance_min_mm", "clearance", "now mm", ".3g"),
-    Column("clearance_less_cover_min_mm", "less cover", "now mm", ".3g"),
-)
-TIMES = (
-    Column("method", "method"),
-    Column("was_held", "feed held", "before", ",d"),
-    Column("held", "feed held", "now", ",d"),
-    Column("was_cycle_mean_s", "cycle time", "before s", ".3f"),
-    Column("cycle_mean_s", "cycle time", "now s", ".3f"),
-)
 
 
 def gate(
@@ -142,12 +114,9 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
         for line in others:
             console.print(" " * INDENT + line)
     console.print()
-    for columns in (COUNTS, FIGURES, TIMES):
-        known = [c for c in columns if any(getattr(row, c.key) is not None for row in verdict.rows)]
-        if known[1:]:
-            rows = tuple(tuple(getattr(row, column.key) for column in known) for row in verdict.rows)
-            print_table(console, Table("gate", tuple(known), rows))
-            console.print()
+    for table in gates.verdict_tables(verdict):
+        print_table(console, table)
+        console.print()
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:

@@ -2,9 +2,10 @@
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
+from htcp_jax.runs import columns
 
-COLUMNS = Column("method", "method"), Column("title", "name"), Column("description", "what it does")
+COLUMNS = "method", "title", "description"
 
 
 def methods(as_json: Json = False) -> int:
@@ -18,7 +19,7 @@ def methods(as_json: Json = False) -> int:
       htcp methods --json                       for another program
     """
     rows = tuple((name, *words) for name, words in registry.descriptions().items())
-    table = Table("methods", COLUMNS, rows)
+    table = Table("methods", columns.of(*COLUMNS), rows)
     if as_json:
         print_json(table.records())
     else:

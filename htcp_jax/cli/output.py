@@ -166,10 +166,10 @@ def _laid_out(table: Table) -> rich.table.Table:
     room = max(LEAST_TEXT, width() - sum(_needed(table, k) + GAP for k in before))
     for k, column in enumerate(table.columns):
         units = ["\n", (column.unit, "dim")] if any(each.unit for each in table.columns) else []
-        style, wraps = "dim" if column.quiet else "", before and k == last and not column.form
+        style, wraps = "dim" if column.quiet else "", before and k == last and not column.format
         laid_out.add_column(
-            Text.assemble(column.head, *units),
-            justify="right" if column.form else "left",
+            Text.assemble(column.heading, *units),
+            justify="right" if column.format else "left",
             style=style,
             header_style=style,
             no_wrap=not wraps,
@@ -190,28 +190,23 @@ def _folded(table: Table, most: int) -> Iterator[Table]:
     for group in _groups(table):
         wide = sum(GAP + _needed(table, k) for k in group)
         if taken[1:] and used + wide > most:
-            yield _columns_part(table, taken)
+            yield table.part(taken)
             taken, used = [0], _needed(table, 0)
         taken, used = taken + group, used + wide
-    yield _columns_part(table, taken)
+    yield table.part(taken)
 
 
 def _groups(table: Table) -> list[list[int]]:
     groups: list[list[int]] = []
     for k in range(1, len(table.columns)):
-        tied = table.columns[k].head in TIED or table.columns[k].quiet
+        tied = table.columns[k].heading in TIED or table.columns[k].quiet
         groups[-1:] = [groups[-1] + [k]] if tied and groups else [*groups[-1:], [k]]
     return groups
-
-
-def _columns_part(table: Table, chosen: list[int]) -> Table:
-    rows = tuple(tuple(row[k] for k in chosen) for row in table.rows)
-    return table._replace(columns=tuple(table.columns[k] for k in chosen), rows=rows)
 
 
 def _needed(table: Table, k: int) -> int:
     column = table.columns[k]
     text = max((len(column.text(row[k])) for row in table.rows), default=0)
-    if k and k == len(table.columns) - 1 and not column.form:
+    if k and k == len(table.columns) - 1 and not column.format:
         text = min(text, LEAST_TEXT)
-    return max(text, len(column.head), len(column.unit))
+    return max(text, len(column.heading), len(column.unit))

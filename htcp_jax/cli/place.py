@@ -15,7 +15,8 @@ from htcp_jax.cli.output import Device, Json, claim_device, print_facts, print_j
 from htcp_jax.errors import InputError
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
+from htcp_jax.runs import Column, columns
 from htcp_jax.runs import sweep as sweeps
 
 NONE_FOUND = 3
@@ -172,15 +173,15 @@ def _seams(found: PlacementResult) -> dict[str, str]:
 
 def _mountings_table(found: PlacementResult) -> Table:
     axes, aims = found.search.ranges.axes, found.search.file.objective
-    columns = [Column("rank", "rank", "", "d")]
-    columns += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
+    shown: list[str | Column] = ["rank"]
+    shown += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
                        axis.unit[0], ".4g") for axis in axes]  # fmt: skip
     for name in aims:
-        columns += [
+        shown += [
             Column(name, name, mounting.UNITS[name][0], ".3g"),
             Column(f"{name} off", "perturbed", mounting.UNITS[name][0], ".3g"),
         ]
-    columns += [Column("margin_mm", "margin", "mm", ".4g"), Column("tolerates", "tolerates")]
+    shown += ["margin_mm", "tolerates"]
     rows = [
         (
             number,
@@ -191,7 +192,7 @@ def _mountings_table(found: PlacementResult) -> Table:
         )
         for number, one in enumerate(found.mountings, 1)
     ]
-    return Table("place", tuple(columns), tuple(rows))
+    return Table("place", columns.of(*shown), tuple(rows))
 
 
 def _short(name: str) -> str:

@@ -26,7 +26,7 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.errors import Interrupted
-from htcp_jax.jobs import load_config, seeded
+from htcp_jax.jobs import load_config, seeded, source_of
 from htcp_jax.planning import registry
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import INTERRUPTED, is_watched, stop_message
@@ -90,7 +90,7 @@ def plan(
         from htcp_jax.system import output_files
 
         with output_files.written_whole(out) as folder:
-            made = plan_with_progress(job, device)
+            made = plan_with_progress(job, source_of(config), device)
             made.write(folder, retract=retract)
     api.forget_validation(out)
     if as_json:
@@ -143,11 +143,12 @@ def job_of(config: Path | None, overrides: Sequence[str], method: str | None) ->
     return job
 
 
-def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
+def plan_with_progress(job: PlanConfig, source: str, device: str | None = None) -> "Plan":
     """Plan a job, and show the number of tracked targets in a progress bar.
 
     Args:
         job: The job.
+        source: Name of the job, for messages.
         device: Name of the device; None: a GPU if there is one.
 
     Raises:
@@ -162,7 +163,7 @@ def plan_with_progress(job: PlanConfig, device: str | None = None) -> "Plan":
         search = _Search(progress, job.method == "beam")
         with stop_message(lambda: search.stop_text):
             try:
-                return api.plan_job(job, device=device, progress=search.update)
+                return api.plan_job(job, source=source, device=device, progress=search.update)
             except KeyboardInterrupt:
                 raise Interrupted(search.stop_text, signal.SIGINT) from None
 

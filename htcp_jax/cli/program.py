@@ -17,8 +17,8 @@ from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_reco
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import build
-from htcp_jax.report import Column, Table
-from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
+from htcp_jax.report import Table
+from htcp_jax.runs import columns, open_plans, open_run, plan_folder, timing_file
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import feed as feed_rates
 from htcp_jax.system import output_files
@@ -41,14 +41,7 @@ CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
 )
-COLUMNS = (
-    Column("begin_mm", "from", "mm", ".2f"),
-    Column("end_mm", "to", "mm", ".2f"),
-    Column("feed_mm_s", "lowest feed", "mm/s", ".2f"),
-    Column("target", "at target", "", "d"),
-    Column("manipulability_m_rad", "manipulability", "m/rad", ".3f"),
-    Column("reason", "limited by"),
-)
+COLUMNS = "begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason"
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
@@ -237,7 +230,7 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
         low, high = sorted((drop.first_target, drop.last_target))
         own = float(np.fmin.reduce(manipulability[low : high + 1]))
         rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
-    return Table("feed_drops", COLUMNS, tuple(rows))
+    return Table("feed_drops", columns.of(*COLUMNS), tuple(rows))
 
 
 def _share_record(found: list[figures.Share]) -> dict[str, dict]:

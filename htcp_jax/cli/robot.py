@@ -18,18 +18,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import robots
 from htcp_jax.io.robots import capsule_fit, close_fit, mjcf
 from htcp_jax.model import Robot
-from htcp_jax.report import Column, Table
+from htcp_jax.report import Table
+from htcp_jax.runs import columns
 from htcp_jax.system import output_files
 
-COLUMNS = (
-    Column("body", "body"),
-    Column("own", "own", "", "d"),
-    Column("fitted", "fitted", "", "d"),
-    Column("volume_ratio", "volume", "x hull", ".2f"),
-    Column("excess_mm", "excess", "mm", ".1f"),
-    Column("outside_mm", "outside", "mm", ".1f"),
-    Column("shapes", "about"),
-)
+COLUMNS = "body", "own", "fitted", "volume_ratio", "excess_mm", "outside_mm", "shapes"
 
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="URDF or MJCF file, with its meshes next to it.")]
 Tcp = Annotated[
@@ -257,7 +250,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
                 mjcf.shapes_label(cover),
             )
         )
-    return Table("robot", COLUMNS, tuple(rows))
+    return Table("robot", columns.of(*COLUMNS), tuple(rows))
 
 
 def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:

@@ -14,6 +14,7 @@ from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, robots
 from htcp_jax.model import scenario_setup
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs import provenance
 from htcp_jax.viewer import offscreen
@@ -60,7 +61,8 @@ def self_test() -> SelfTest:
     count = 11 + POINTS  # the start, the approach, and the path's first points
     scenario = scenario_setup.make_scenario(robot, part, START)
     scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))
-    plans = batch.plan(robot, part, scenario, "baseline", threads=1, check_paths=False)
+    problem = Problem.of(robot, part, scenario, execution=Execution(threads=1), check_paths=False)
+    plans = batch.plan(problem, "baseline")
     off_rad = float(np.abs(plans.x[0, -1] - KNOWN_RAD).max())
     off_m = float(abs(plans.clearance[0].min() - KNOWN_CLEARANCE_M))
     passed = off_rad <= TOLERANCE and off_m <= TOLERANCE  # False for NaN, the value at targets that are not tracked

@@ -28,8 +28,8 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.jobs import grid, seeded
-from htcp_jax.report import Column, Table, tables
-from htcp_jax.runs import Run, RunningSummary, plan_folder, summary
+from htcp_jax.report import Table, tables
+from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import NOT_TRIED
 
@@ -161,25 +161,13 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
 
 
 COUNTS = (
-    Column("method", "method"),
-    Column("success", "success", "%", ".2f"),
-    Column("tracked", "tracked", "targets", ",d"),
-    Column("targets", "of", "", ",d"),
-    Column("executable", "executable", "targets", ",d"),
-    Column("complete", "complete", "scenarios", ",d"),
-    Column("scenarios", "of", "", ",d"),
-    Column("blocked", "blocked", "paths", ",d"),
-)
+    "method", "success_percent", "tracked", columns.total("targets"), "executable", "complete",
+    columns.total("scenarios"), "blocked",
+)  # fmt: skip
 FIGURES = (
-    Column("method", "method"),
-    Column("step_ms", "time/target", "ms", ".2f"),
-    Column("tcp", "TCP distance", "mean mm", ".3g"),
-    Column("orientation", "orientation error", "mean deg", ".3g"),
-    Column("clearance_min", "clearance", "min mm", ".3g"),
-    Column("clearance_mean", "clearance", "mean mm", ".3g"),
-    Column("run_s", "run", "s", ".1f"),
-    Column("compile_s", "compile", "s", ".1f"),
-)
+    "method", "step_ms", "tcp_distance_mean_mm", "orientation_error_mean_deg", "clearance_min_mm", "clearance_mean_mm",
+    "run_s", "compile_s",
+)  # fmt: skip
 
 
 def _print_table(run: Run, running: RunningSummary) -> None:
@@ -190,19 +178,9 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
-    found = {method: summary.summarise(whole) for method, whole in plans.items()}
-    counts = [
-        (m, 100 * s.success_rate, s.tracked, s.targets, int(plans[m].executable.sum()), s.complete, s.scenarios,
-         s.blocked_paths)
-        for m, s in found.items()
-    ]  # fmt: skip
-    figures = [
-        (m, s.step_ms, s.tcp_distance_mean_mm, s.orientation_error_mean_deg, s.clearance_min_mm, s.clearance_mean_mm,
-         s.run_s, s.compile_s)
-        for m, s in found.items()
-    ]  # fmt: skip
-    for columns, rows in ((COUNTS, counts), (FIGURES, figures)):
-        print_table(console, tables.without_empty(Table("sweep", columns, tuple(rows))))
+    rows = [tables.result_row(method, summary.summarise(whole)) for method, whole in plans.items()]
+    for keys in (COUNTS, FIGURES):
+        print_table(console, Table.of("sweep", keys, rows).without_empty())
         console.print()
     print_timing(run, list(plans))
     kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"

@@ -14,7 +14,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.output import Overrides, Seed, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import seeded
+from htcp_jax.jobs import seeded, source_of
 from htcp_jax.runs import open_plans
 from htcp_jax.spec import examples
 from htcp_jax.system import stop_message
@@ -108,6 +108,6 @@ def _replays_and_programs(
         return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
             found, feed_m_s, by, scenario, **how
         )
-    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method))
+    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), source_of(what))
     of_job = name, plan.plans, 0, plan.job, feed_m_s
     return replay.replays_of(name, plan), lambda _, by: plan_program.program_of_plans(*of_job, by, retract=retract)

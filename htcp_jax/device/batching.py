@@ -91,17 +91,17 @@ def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
     def run(scene, lanes, *tables):
         capacity = jax.tree.leaves(tables)[0].shape[0]
 
-        def of(part: Callable) -> Callable:
+        def for_all_slots(part: Callable) -> Callable:
             return jax.vmap(lambda lane, state: part(function(scene, *lane))(state))
 
-        is_going, step, result = (of(attrgetter(part)) for part in ("going", "step", "result"))
-        begin = jax.vmap(lambda lane: jax.tree.map(jnp.asarray, function(scene, *lane).state))
+        is_going, step, result = (for_all_slots(attrgetter(part)) for part in ("going", "step", "result"))
+        initial_state = jax.vmap(lambda lane: jax.tree.map(jnp.asarray, function(scene, *lane).state))
 
-        def let_in(slots: Slots, first) -> tuple[Slots, jax.Array]:
+        def fill_free_slots(slots: Slots, first) -> tuple[Slots, jax.Array]:
             free = ~slots.going
             row, new, following = next_rows(free, first, lanes)
             lane = jax.tree.map(lambda t: t[jnp.where(new, row, 0)], tables)
-            lane, state = _where(new, (lane, begin(lane)), (slots.lane, slots.state))
+            lane, state = _where(new, (lane, initial_state(lane)), (slots.lane, slots.state))
             row = jnp.where(new, row, jnp.where(free, capacity, slots.row))
             going = is_going(lane, state) & (row < capacity)
             return Slots(row, lane, state, going), following
@@ -110,23 +110,23 @@ def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
             state = _where(slots.going, step(slots.lane, slots.state), slots.state)
             return slots._replace(state=state, going=slots.going & is_going(slots.lane, state))
 
-        def turn(now):
-            slots, first, results = now
-            slots, first = let_in(slots, first)
+        def refill_and_advance(progress):
+            slots, first, results = progress
+            slots, first = fill_free_slots(slots, first)
             enough = jnp.where(first < lanes, width - max(1, width // 8), 0)
             slots = jax.lax.while_loop(lambda slots: jnp.sum(slots.going) > enough, advance, slots)
             write = partial(jax.tree.map, lambda all_, own: all_.at[slots.row].set(own, mode="drop"))
             return slots, first, write(results, result(slots.lane, slots.state))
 
-        def more(now) -> jax.Array:
-            slots, first, _ = now
+        def is_unfinished(progress) -> jax.Array:
+            slots, first, _ = progress
             return (first < lanes) | jnp.any(slots.going)
 
         lane = jax.tree.map(lambda t: jnp.broadcast_to(t[0], (width, *t.shape[1:])), tables)
-        state = begin(lane)
+        state = initial_state(lane)
         slots = Slots(jnp.full(width, capacity, jnp.int32), lane, state, jnp.zeros(width, bool))
         results = _empty(jax.eval_shape(result, lane, state), capacity)
-        return jax.lax.while_loop(more, turn, (slots, jnp.zeros((), jnp.int32), results))[2]
+        return jax.lax.while_loop(is_unfinished, refill_and_advance, (slots, jnp.zeros((), jnp.int32), results))[2]
 
     return jax.jit(run, keep_unused=True)  # its text then has all arguments, see `kept_executables`
 

@@ -22,7 +22,7 @@ class ChunkSlots(NamedTuple):
     """Chunks computed side by side, one per slot, and the state of their proofs."""
 
     row: Int[jax.Array, "width"]  # row of the path in the tables; the tables' length if the slot is free
-    far: bisection.Bisection  # state of the proof; the initial state if the slot is free
+    search: bisection.Bisection  # state of the proof; the initial state if the slot is free
 
 
 class PathResults(NamedTuple):
@@ -42,34 +42,34 @@ def by_chunks(function: Callable, width: int) -> Callable:
         capacity = jax.tree.leaves(tables)[0].shape[0]
 
         @jax.vmap
-        def query(row, far: bisection.Bisection) -> bisection.Bisection:
+        def query(row, search: bisection.Bisection) -> bisection.Bisection:
             lane = jax.tree.map(lambda table: table[row], tables)
-            return function(scene, *lane).step(far)
+            return function(scene, *lane).step(search)
 
-        def advance(now):
-            slots, following, known = now
+        def query_all_slots(progress):
+            slots, following, results = progress
             row, new, following = next_rows(slots.row == capacity, following, lanes)
-            slots = _shared_out(slots._replace(row=jnp.where(new, row, slots.row)), capacity)
-            far = query(jnp.where(slots.row < capacity, slots.row, 0), slots.far)
-            slots, known = _put_together(slots, far, known, capacity)
-            return slots, following, known
+            slots = _share_chunks(slots._replace(row=jnp.where(new, row, slots.row)), capacity)
+            search = query(jnp.where(slots.row < capacity, slots.row, 0), slots.search)
+            slots, results = _combine(slots, search, results, capacity)
+            return slots, following, results
 
-        def more(now) -> jax.Array:
-            slots, following, _ = now
+        def is_unfinished(progress) -> jax.Array:
+            slots, following, _ = progress
             return (following < lanes) | jnp.any(slots.row < capacity)
 
         slots = ChunkSlots(jnp.full(width, capacity, jnp.int32), _table_of(bisection.initial_state(), width))
-        known = PathResults(jnp.full(capacity, bisection.WHOLE), _table_of(bisection.initial_state().proof, capacity))
-        *_, known = jax.lax.while_loop(more, advance, (slots, jnp.zeros((), jnp.int32), known))
-        return jax.vmap(bisection.proven_result)(known.proof)
+        results = PathResults(jnp.full(capacity, bisection.WHOLE), _table_of(bisection.initial_state().proof, capacity))
+        *_, results = jax.lax.while_loop(is_unfinished, query_all_slots, (slots, jnp.zeros((), jnp.int32), results))
+        return jax.vmap(bisection.proven_result)(results.proof)
 
     return jax.jit(run, keep_unused=True)
 
 
-def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
+def _share_chunks(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     """Return the slots after free slots took over the last parts of other slots' chunks, at most one part per chunk."""
-    row, far = slots
-    rest = far.end - far.place - (1 << (bisection.WHOLE_DEPTH - far.depth))  # beyond the next interval
+    row, search = slots
+    rest = search.end - search.place - (1 << (bisection.WHOLE_DEPTH - search.depth))  # beyond the next interval
     free, gives = row == capacity, (row < capacity) & (rest > 0)
     nth_free, nth_giver = (jnp.cumsum(which, dtype=jnp.int32) - 1 for which in (free, gives))
     gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
@@ -77,39 +77,39 @@ def _shared_out(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
     # Length of the longest interval at the end that bisection will reach: the largest power of two in the rest.
     level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
-    start = far.end - (1 << level)
+    start = search.end - (1 << level)
     new = bisection.initial_state()._replace(
-        index=start[giver] >> level[giver], depth=bisection.WHOLE_DEPTH - level[giver], end=far.end[giver]
+        index=start[giver] >> level[giver], depth=bisection.WHOLE_DEPTH - level[giver], end=search.end[giver]
     )
-    left = far._replace(end=jnp.where(gives, start, far.end))
-    far = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, left)
-    return ChunkSlots(jnp.where(takes, row[giver], row), far)
+    shortened = search._replace(end=jnp.where(gives, start, search.end))
+    search = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, shortened)
+    return ChunkSlots(jnp.where(takes, row[giver], row), search)
 
 
-def _put_together(
-    slots: ChunkSlots, queried: bisection.Bisection, known: PathResults, capacity: int
+def _combine(
+    slots: ChunkSlots, queried: bisection.Bisection, results: PathResults, capacity: int
 ) -> tuple[ChunkSlots, PathResults]:
     """Return the slots that continue after a clearance query, and the updated results."""
-    row, here = slots.row, slots.far.place  # start of the checked interval
-    whole, found = known.proof, queried.proof
+    row, start = slots.row, slots.search.place  # start of the checked interval
+    combined, found = results.proof, queried.proof
 
     def rows(which: Bool[jax.Array, "width"]) -> jax.Array:
         return jnp.where(which, row, capacity)  # writes to row `capacity` are dropped
 
     fails = (row < capacity) & (found.verdict != bisection.PathVerdict.VALID)
-    ends = known.ends.at[rows(fails)].min(here, mode="drop")
+    ends = results.ends.at[rows(fails)].min(start, mode="drop")
     end = ends[jnp.minimum(row, capacity - 1)]
-    foremost, goes_on = rows(fails & (here == end)), queried.going & (queried.place < end)
+    foremost, goes_on = rows(fails & (start == end)), queried.going & (queried.place < end)
     through = rows(~goes_on)
-    whole = bisection.Proof(
-        whole.verdict.at[foremost].set(found.verdict, mode="drop"),
-        whole.place.at[foremost].set(found.place, mode="drop"),
-        whole.clearance.at[through].min(found.clearance, mode="drop"),
-        whole.queries.at[through].add(found.queries, mode="drop"),
-        whole.depth.at[through].max(found.depth, mode="drop"),
+    combined = bisection.Proof(
+        combined.verdict.at[foremost].set(found.verdict, mode="drop"),
+        combined.place.at[foremost].set(found.place, mode="drop"),
+        combined.clearance.at[through].min(found.clearance, mode="drop"),
+        combined.queries.at[through].add(found.queries, mode="drop"),
+        combined.depth.at[through].max(found.depth, mode="drop"),
     )
-    far = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), bisection.initial_state(), queried)
-    return ChunkSlots(rows(goes_on), far), PathResults(ends, whole)
+    search = jax.tree.map(lambda fresh, own: jnp.where(goes_on, own, fresh), bisection.initial_state(), queried)
+    return ChunkSlots(rows(goes_on), search), PathResults(ends, combined)
 
 
 def _table_of(one: Any, length: int) -> Any:

@@ -110,15 +110,6 @@ class ExecutableCache:
                 del self._compiled[oldest]
                 self._compiling.pop(oldest, None)
 
-    def executables_of(self, *lane_functions: LaneFunction) -> list[tuple[LaneFunction, jax.stages.Compiled]]:
-        """Return the executables in memory for these lane functions, as pairs (lane function, executable)."""
-        return [
-            (lane_function, self._compiled[key])
-            for lane_function in lane_functions
-            for key in self._compiled
-            if key[0] == lane_function
-        ]
-
 
 EXECUTABLES = ExecutableCache(on_disk=True)  # executables of this process, shared by all plans
 

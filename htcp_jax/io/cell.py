@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.robots.model_file import compile_spec, no_log, upwards
+from htcp_jax.io.robots.mujoco_models import compile_spec, upwards
 from htcp_jax.io.robots.safe_xml import WORLD, model_files, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shapes
 from htcp_jax.model import Fixture, fixture
@@ -50,8 +50,7 @@ def load_cell(
             one of an unsupported kind.
     """
     path = Path(path)
-    with no_log():
-        spec = read_spec(path, meshes=True)
+    spec = read_spec(path, meshes=True)
     shapes = Shapes(spec, path)
     model = compile_spec(spec, path)
     own = _moved_bodies(model, path, moved)
@@ -83,8 +82,7 @@ def read_meshes(path: str | Path) -> tuple[mujoco.MjSpec, list[CellMesh]]:
         InputError: If a file or a mesh cannot be read.
     """
     path = Path(path)
-    with no_log():
-        spec = read_spec(path, meshes=True)
+    spec = read_spec(path, meshes=True)
     shapes = Shapes(spec, path)
     compile_spec(spec, path)  # sets the geoms' indices
     found = []
@@ -121,8 +119,7 @@ def files_of_cell(path: str | Path) -> set[Path]:
         InputError: If a file cannot be read or a mesh file does not exist.
     """
     path = Path(path)
-    with no_log():
-        shapes = Shapes(read_spec(path, meshes=True), path)
+    shapes = Shapes(read_spec(path, meshes=True), path)
     meshes = {shapes.file(geom) for geom in shapes.geoms if geom.touches}
     return model_files(path) | {file.resolve() for file in meshes - {None}}
 

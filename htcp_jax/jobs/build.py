@@ -4,6 +4,8 @@ All raise InputError for invalid input.
 """
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -17,6 +19,7 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
+from htcp_jax.jobs.resolve import resolve
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, scenario_setup, surface
 from htcp_jax.model import robot as robots
 from htcp_jax.model import triangles as mesh_triangles
@@ -38,14 +41,35 @@ NO_CELL = CellConfig()
 
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
+    return resolved_scene(job)[1:]
+
+
+def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
+    """Resolve a job, and build its robot, workpiece and scenario.
+
+    Args:
+        job: The job.
+        source: Name of the job, for messages.
+    """
     robot = robot_of(job.robot, job.cell, job.tree)
+    job = resolve(job, robot, source)
     workpiece = workpiece_of(job.workpiece, robot)
-    return robot, workpiece, scenario_of(job, robot, workpiece)
+    return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
 
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task of a job: the constraints on the tool at each point of the path."""
-    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+    with _rows_by_key():
+        return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+
+
+@contextmanager
+def _rows_by_key() -> Iterator[None]:
+    """Name a task's rows by their keys in the job, such as task.2, in errors."""
+    try:
+        yield
+    except goals.RowError as error:
+        raise InputError(error.message("task.")) from None
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -184,9 +208,10 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
-    if beyond_reach == "raise":
-        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    with _rows_by_key():
+        scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+        if beyond_reach == "raise":
+            goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 

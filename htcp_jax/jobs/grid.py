@@ -35,14 +35,24 @@ from htcp_jax.jobs.build import (
     workpiece_key,
     workpiece_of,
 )
-from htcp_jax.jobs.defaults import fill_in, is_other_arm, keys_of
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
-from htcp_jax.jobs.load_config import load_config, read_config
+from htcp_jax.jobs.load_config import load_config, read_config, source_of
+from htcp_jax.jobs.resolve import check_start, resolve
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
-from htcp_jax.spec import DEPENDENT, PlanConfig, WorkpieceConfig, example_or_path, put_key, read_mapping, strict_model
+from htcp_jax.spec import (
+    DEPENDENT,
+    PlanConfig,
+    WorkpieceConfig,
+    example_or_path,
+    is_other_arm,
+    keys_of,
+    put_key,
+    read_mapping,
+    strict_model,
+)
 
 
 class SweepFile(strict_model.FileSection):
@@ -113,7 +123,8 @@ class Sweep:
         """
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
-        return tuple(itertools.islice(points_of(self.name, self.config, self.groups, self.stated), limit))
+        points = points_of(self.name, self.config, self.groups, self.stated, len(self.robot.joint_names))
+        return tuple(itertools.islice(points, limit))
 
     def batch(self, limit: int | None = None) -> Batch:
         """Build the first `limit` scenarios with their planner inputs; None: all.
@@ -131,8 +142,10 @@ class Sweep:
         scenarios, whose = [], []
         for point in points:
             arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
+            where = f"{self.name}: scenario {point.number}"
             if arm not in arms:
-                arms[arm] = _like(self.robot, robot_of(*arm), f"{self.name}: scenario {point.number}")
+                arms[arm] = _like(self.robot, robot_of(*arm), where)
+            check_start(point.config, arms[arm], where)
             if (arm, part) not in parts:
                 parts[arm, part] = workpiece_of(part, arms[arm])
             task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
@@ -181,9 +194,9 @@ def load_sweep(
     first = _first_values(raw, grids, path.parent)
     for key, value in first.items():
         put_key(raw, key, value)
-    fill_in(raw, keys_of(raw), source)
     base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
     robot = robot_of(base.robot, base.cell, base.tree)
+    base = resolve(base, robot, source)
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
@@ -217,7 +230,8 @@ def load_sweep_or_job(
         raise InputError(f"{path} is a job; omit config (--config), which replaces the job of a sweep")
     job = load_config(spec, overrides)
     name = "job" if isinstance(spec, Mapping) else path.stem
-    return Sweep(name, job, robot_of(job.robot, job.cell, job.tree), (Group(None, ()),), frozenset(), alone=True)
+    robot = robot_of(job.robot, job.cell, job.tree)
+    return Sweep(name, resolve(job, robot, source_of(spec)), robot, (Group(None, ()),), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:

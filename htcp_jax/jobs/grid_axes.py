@@ -152,11 +152,16 @@ def kind_parameter(name: str) -> AxisParameter | None:
 def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
     """Set one parameter in a configuration of plain values.
 
+    Args:
+        raw: The configuration; it is modified, but not the mappings and lists in it: those that change are replaced.
+        column: The parameter.
+        value: The value or the offset.
+
     Raises:
         InputError: If an offset or an element applies to a missing value, or if the value has no such element.
     """
     parameter = column.parameter
-    owner, key = _owner(raw, parameter), parameter.key.rpartition(".")[2]
+    owner, key = _own_copy(raw, parameter), parameter.key.rpartition(".")[2]
     old = owner[key]
     if old is None and column.relative:
         raise InputError(f"{parameter.name} is not set, so it cannot have offsets; use values")
@@ -173,19 +178,27 @@ def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
     owner[key] = tuple(new)
 
 
-def _owner(raw: dict, parameter: AxisParameter) -> dict:
-    """Return the mapping in a configuration of plain values that contains the parameter's key.
+def _own_copy(raw: dict, parameter: AxisParameter) -> dict:
+    """Copy the mapping that contains the parameter's key, and what contains this mapping, in `raw`; return the copy.
 
     Raises:
         InputError: If the key does not exist.
     """
     section, _, key = parameter.key.rpartition(".")
+    owner: Any = raw
+    for name in section.split(".") if section else ():
+        if isinstance(owner, list) and int(name) > len(owner):
+            what = (
+                f"the task has {len(owner)} rows" if section[:4] == "task" else f"the cell has {len(owner)} obstacles"
+            )
+            raise InputError(f"{parameter.name}: {what}; they are numbered from 1")
+        place = int(name) - 1 if isinstance(owner, list) else name
+        owner[place] = dict(owner[place]) if isinstance(owner[place], dict) else list(owner[place])
+        owner = owner[place]
     if section == LOCKED:
-        owner = raw["robot"]["locked"] = dict(raw["robot"]["locked"])
         if key not in owner:
             raise InputError(f"{parameter.name}: robot.locked has no joint {key}; valid: {', '.join(owner) or 'none'}")
         return owner
-    owner = _task_row(raw, parameter) if section[-1:].isdecimal() else raw[section] if section else raw
     if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
         valid = (
             ", ".join(name for name in owner if name != strict_model.KIND)
@@ -194,21 +207,6 @@ def _owner(raw: dict, parameter: AxisParameter) -> dict:
         )
         raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {valid}")
     return owner
-
-
-def _task_row(raw: dict, parameter: AxisParameter) -> dict:
-    """Return the mapping of the task row or the obstacle to which a parameter belongs.
-
-    The list in `raw` is replaced by a copy first, so that callers may modify the mapping.
-    """
-    *sections, name, number, _ = parameter.key.split(".")
-    for section in sections:
-        raw = raw[section]
-    rows = raw[name] = tuple(dict(row) for row in raw[name])
-    if int(number) > len(rows):
-        what = f"the task has {len(rows)} rows" if name == "task" else f"the cell has {len(rows)} obstacles"
-        raise InputError(f"{parameter.name}: {what}; they are numbered from 1")
-    return rows[int(number) - 1]
 
 
 def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
@@ -253,7 +251,7 @@ def absolute(name: str | None, words: Collection[str | None]) -> str | None:
 
 
 def has_own_defaults(group: Group) -> bool:
-    """Return True if the scenarios of a grid may have different defaults, see `defaults.own_defaults`."""
+    """Return True if the scenarios of a grid may have different defaults, see `spec.defaults.own_defaults`."""
     return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
 
 

@@ -5,13 +5,13 @@ import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from htcp_jax.jobs.defaults import fill_in, value_at
 from htcp_jax.jobs.grid_axes import FILE_KEYS, Group, ScenarioPoint, has_own_defaults, put_parameter, varied_keys
-from htcp_jax.spec import PlanConfig, strict_model
+from htcp_jax.jobs.resolve import with_weights
+from htcp_jax.spec import DEPENDENT, PlanConfig, strict_model, value_at
 
 
 def points_of(
-    name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str]
+    name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str], joints: int
 ) -> Iterator[ScenarioPoint]:
     """Yield the scenarios of all grids in order.
 
@@ -19,8 +19,9 @@ def points_of(
         name: Name of the sweep, for messages.
         config: Configuration shared by the scenarios.
         groups: The grids.
-        stated: The keys among `config.DEPENDENT` and "start_rad" that the configuration sets. The others get the
+        stated: The keys among `DEPENDENT` and "start_rad" that the configuration sets. The others get the
             defaults for each scenario's robot and workpiece.
+        joints: Number of joints of all robots.
 
     Raises:
         InputError: If a value is out of its range.
@@ -34,17 +35,26 @@ def points_of(
         short[key] = short_names([*files, value_at(base, key)], words)
     number = itertools.count()
     for group in groups:
-        hanging, known = has_own_defaults(group), {*stated, *group.keys}
+        shared = _without_defaults(base, {*stated, *group.keys}) if has_own_defaults(group) else base
         for row in group.rows():
-            raw = {key: dict(value) if isinstance(value, dict) else value for key, value in base.items()}
+            raw = dict(shared)
             for column, value in row:
                 put_parameter(raw, column, value)
             k = next(number)
-            source = f"{name}: scenario {k}"
-            if hanging:
-                fill_in(raw, known, source)
-            own = strict_model.validate_model(raw, PlanConfig, source)
+            own = with_weights(strict_model.validate_model(raw, PlanConfig, f"{name}: scenario {k}"), joints)
             yield ScenarioPoint(k, group.name, own, _words_of(own, varied, short))
+
+
+def _without_defaults(base: dict, stated: Collection[str]) -> dict:
+    """Return a configuration of plain values without the keys that have their own defaults in each scenario."""
+    missing = {*DEPENDENT, "start_rad"} - {*stated}
+    return {
+        key: {name: own for name, own in value.items() if f"{key}.{name}" not in missing}
+        if isinstance(value, dict)
+        else value
+        for key, value in base.items()
+        if key not in missing
+    }
 
 
 def short_names(files: Iterable[str | None], words: Collection[str | None]) -> dict[str | None, str | None]:

@@ -3,8 +3,10 @@
     load_config("plan.yaml", ["margin_m=0.001", "settings.alpha_rad=0.05"]) -> PlanConfig
 
 The value of a key comes from an override, else from the file, else from its base file (see `config_file`), else from
-the defaults for the job's arm and part (see `defaults`). By default, a user-supplied part is at the world's origin
+the defaults for the job's arm and part (see `spec.defaults`). By default, a user-supplied part is at the world's origin
 without rotation.
+
+The files that a job names are not read; `resolve` adds what depends on the robot.
 
 File names in a YAML file are relative to its folder, and file names in an override to the working folder.
 """
@@ -14,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.defaults import fill_in, keys_of
-from htcp_jax.model import task_row_kind
 from htcp_jax.spec import (
     NAME,
     PlanConfig,
+    TaskRowKind,
     example_or_path,
     layers,
     layers_of,
@@ -42,11 +43,9 @@ def load_config(
 
     Raises:
         InputError: If a file cannot be read, is not a YAML mapping or repeats a key; if base files form a cycle; if a
-            key is unknown; if a value has the wrong type or is out of its range; or if the robot is not the GP50 and
-            start_rad is missing.
+            key is unknown; or if a value has the wrong type or is out of its range.
     """
     raw, source = read_config(config, overrides)
-    fill_in(raw, stated=keys_of(raw), source=source)
     return strict_model.validate_model(raw, PlanConfig, source)
 
 
@@ -58,12 +57,10 @@ def read_config(
     Raises:
         InputError: See `load_config`; values are not checked here.
     """
-    source, found = "the default configuration", []
+    source, found = source_of(config), []
     if isinstance(config, Mapping):
-        source = "the configuration"
         found = layers_of(config, source)
     elif config is not None:
-        source = str(config)
         found = layers(example_or_path(config))
     for name, raw in found:
         strict_model.refuse_unknown(raw, PlanConfig, name)
@@ -79,10 +76,17 @@ def read_config(
     return raw, source
 
 
+def source_of(config: str | Path | Mapping[str, Any] | None) -> str:
+    """Return the name of a configuration for messages."""
+    if config is None:
+        return "the default configuration"
+    return "the configuration" if isinstance(config, Mapping) else str(config)
+
+
 def with_kinds(
     job: PlanConfig,
     obstacles: Sequence[obstacle_kind.ObstacleKind | Mapping[str, Any]],
-    task: Sequence[task_row_kind.TaskRowKind | Mapping[str, Any]] | None,
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
 ) -> PlanConfig:
     """Return the job with additional obstacles, and with `task` in place of its own task.
 

@@ -1,16 +1,13 @@
 """The robot, its kinematics, the task and the workpiece: frozen arrays and pure functions of one configuration.
 
-`Robot` is a serial arm with capsules around its links. `Workpiece` is the
-part with its path; `PathFrames` has the normals, tangents and orientations along the path. `Scenario` is the part's
-pose, the start and the tool of one plan, and `Fixture` is a body of the work cell. `TaskRow` is a row of the task as
-written in a job file; `Task` is the resulting constraint on the arm at a target.
+`Robot` is a serial arm with capsules around its links. `Workpiece` is the part with its path; `PathFrames` has the
+normals, tangents and orientations along the path. `Scenario` is the part's pose, the start and the tool of one plan,
+and `Fixture` is a body of the work cell. `Task` is the constraint on the arm at a target.
 
 `kinematics` computes the poses of links and TCP and their Jacobians. `inverse_kinematics` moves a configuration onto a
-target. `task_rows` has the base class of rows, `built_in_rows` has the kinds that a job lists, and `goals` computes the
-goals of rows at each target.
-`task_row_kind` has the base class of the kinds that other packages add, and `row_bounds` has the allowed regions of a
-row between two targets. `task_list` and `task_row_kind` read rows without JAX; `listed_rows` and `given_row` compute
-with these rows.
+target. `task_rows` has the base class of a task's rows, `built_in_rows` their kinds, and `rows_of_spec` makes them from
+the rows of a job, which are data in package `spec`. `goals` makes the task and its goals at each target. `row_bounds`
+has the allowed regions of a row between two targets.
 
 `rotations`, `surface`, `triangles`, `mesh_points` and `duct` are geometry: rotations, the surface of a cloud, the
 triangles of a mesh and points on them, the generated duct. `arrays` checks points that a caller passes in. `robot`,

@@ -14,7 +14,6 @@ from . import (
     scenario_setup,
     surface,
     task,
-    task_row_kind,
     task_rows,
     triangles,
     workpiece,
@@ -25,7 +24,6 @@ from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
 from .scenario import Scenario
 from .task import Task
-from .task_list import TaskRow
 from .workpiece import Workpiece
 
 __all__ = [
@@ -37,7 +35,6 @@ __all__ = [
     "Robot",
     "Scenario",
     "Task",
-    "TaskRow",
     "Workpiece",
     "arrays",
     "convex_piece",
@@ -54,7 +51,6 @@ __all__ = [
     "scenario_setup",
     "surface",
     "task",
-    "task_row_kind",
     "task_rows",
     "triangles",
     "workpiece",

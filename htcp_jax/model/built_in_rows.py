@@ -22,8 +22,9 @@ from htcp_jax.model.rotations import (
     turned_frames,
 )
 from htcp_jax.model.row_bounds import Region, Slabs, ViewTarget, allowed_axes, allowed_frames, chord
-from htcp_jax.model.task_rows import AIM_M, AIM_RAD, AIM_SHARE, SLACK, Feature, Row, mixed
+from htcp_jax.model.task_rows import AIM_SHARE, SLACK, Feature, Row, mixed
 from htcp_jax.numerics import product, safe_norm
+from htcp_jax.spec import AIM_M, AIM_RAD
 from htcp_jax.types import Array, Float, Triple, Vector3
 
 

@@ -75,18 +75,6 @@ def section(x: Float[np.ndarray, "P"]) -> DuctSection:
     return DuctSection(*np.moveaxis(_sections()(x), -1, 0))
 
 
-def section_value(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-    """Return the implicit function |y/a|^n + |(z - zc)/b|^n - 1 of the duct at P points [m].
-
-    The value is 0 on the surface, negative in the bore, and NaN before the inlet and behind the outlet. It is not a
-    distance.
-    """
-    x, y, z = points.T
-    at = section(x)
-    b, n = at.half(z >= at.zc)
-    return np.abs(y / at.a) ** n + np.abs((z - at.zc) / b) ** n - 1.0
-
-
 def surface(x: Float[np.ndarray, "P"], angle: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P 3"]:
     """Return the points of the duct's surface [m] at positions `x` [m] and polar angles `angle` [rad].
 

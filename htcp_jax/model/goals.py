@@ -18,16 +18,27 @@ from htcp_jax.model.arm_features import point_of
 from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import frame_turns
+from htcp_jax.model.rows_of_spec import PlacedPath, drawn_goal, goals_of, row_of
 from htcp_jax.model.scenario import Scenario
 from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
-from htcp_jax.model.task_list import TaskRow
-from htcp_jax.model.task_row_kind import PlacedPath, TaskRowKind
 from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, PointRow, TaskRowKind, path_row
 
-ON_PATH = (TaskRow(point="tcp", on="path"),)  # the paper's task, and the default
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
+
+
+class RowError(InputError):
+    """Rows of a task that are invalid. The arguments are the reason, and for each row its number and description."""
+
+    def __str__(self) -> str:
+        return self.message("row ")
+
+    def message(self, prefix: str) -> str:
+        """Return the message with a prefix before each row's number, such as `task.`."""
+        reason, *rows = self.args
+        return " and ".join(prefix + row for row in rows) + reason
 
 
 def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3, tolerance_rad: float = 2e-3) -> Task:
@@ -44,18 +55,18 @@ def task_of(rows: Sequence[TaskRowKind], robot: Robot, tolerance_m: float = 1e-3
             contradicts earlier rows.
     """
     parts: list[Row] = []
-    for k, row in enumerate(rows or ON_PATH, 1):
+    for k, row in enumerate(rows or (TCP_ON_PATH,), 1):
         try:
-            parts.append(row.part(robot))
+            parts.append(row_of(row, robot))
         except InputError as error:
-            raise InputError(f"task.{k}: {error}") from None
-        if parts[-1].equalities and _turns_against_world(row, robot):
+            raise RowError(f": {error}", f"{k}") from None
+        if parts[-1].equalities and _is_angle_to_world(row, robot):
             _check_turns(k, row, robot, parts[-1])
     task = Task(tuple(parts), tolerance_m, tolerance_rad)
     task.freedom(robot)
     for k in (k for k in range(2, len(parts) + 1) if parts[k - 1].equalities):
         if _jacobian_rank(robot, rows[:k], Task(tuple(parts[:k]))) < sum(part.equalities for part in parts[:k]):
-            raise InputError(f"task.{k} ({rows[k - 1]}) repeats or contradicts an earlier row; remove one of them")
+            raise RowError(" repeats or contradicts an earlier row; remove one of them", f"{k} ({rows[k - 1]})")
     return task
 
 
@@ -73,7 +84,7 @@ def follower_position(rows: Sequence[TaskRowKind], robot: Robot, x: Float[np.nda
     Raises:
         InputError: For a name that the robot lacks.
     """
-    row = next((row for row in rows if isinstance(row, TaskRow) and row.on == "path"), ON_PATH[0])
+    row = path_row(rows) or TCP_ON_PATH
     point = point_of(robot, row.point, row.offset_m)
     part = PointAlong(point.link, point.vector, 3)
     return np.asarray(_VALUE(robot, jnp.asarray(x), Task((part,))))
@@ -94,24 +105,24 @@ def with_goals(
     Raises:
         InputError: For a path without the frames that the rows require, and for two rows that contradict each other.
     """
-    rows = rows or ON_PATH
-    if task.parts == (TaskPoint(),) and rows[0].on == "path":
+    rows = rows or (TCP_ON_PATH,)
+    if task.parts == (TaskPoint(),) and path_row(rows):
         return scenario
     robot, targets = with_tool(robot, float(scenario.tool_extension_m)), scenario.targets
     rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
     before = len(targets) - len(workpiece.path)
-    posed = PlacedPath(rotate, translate, targets[before:], workpiece)
+    placed = PlacedPath(rotate, translate, targets[before:], workpiece)
     _check_frames(rows, workpiece)
     start = np.array(_VALUE(robot, jnp.asarray(scenario.x_start), task))
     share = np.linspace(0.0, 1.0, before) if before > 1 else np.full(before, float(scenario.auto_start))
-    columns, v, follows = [], 0, False
+    columns, v = [], 0
     for row, part in zip(rows, task.parts, strict=True):
         size = part.size
-        wanted = row.goals(part, posed)
-        leads = row.on == "path" and not follows
-        eased = part.eased(start[v : v + size], wanted[0], share, targets[:before] if leads else None)
+        wanted = goals_of(row, part, placed)
+        places = targets[:before] if row is path_row(rows) else None
+        eased = part.eased(start[v : v + size], wanted[0], share, places)
         columns.append(np.concatenate([eased, wanted]))
-        v, follows = v + size, follows or leads
+        v += size
     _check_pairs(rows, task, columns, before)
     return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
@@ -131,8 +142,8 @@ def check_constant_angles(
     Raises:
         InputError: For an angle that violates its cone or limit at a point of the path.
     """
-    for k, (row, part, start) in enumerate(zip(rows or ON_PATH, task.parts, task.starts, strict=True), 1):
-        if part.inequalities and _turns_against_world(row, robot):
+    for k, (row, part, start) in enumerate(zip(rows or (TCP_ON_PATH,), task.parts, task.starts, strict=True), 1):
+        if part.inequalities and _is_angle_to_world(row, robot):
             on_path = scenario.goals[-len(workpiece.path) :, start : start + part.numbers]
             _check_constant(k, row, robot, part, np.asarray(on_path))
 
@@ -143,7 +154,7 @@ def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     found = 0
     for x in rng.uniform(lower, upper, (DRAWS, len(lower))):
-        goal = np.concatenate([row.drawn(part, rng) for row, part in zip(rows, task.parts, strict=True)])
+        goal = np.concatenate([drawn_goal(row, part, rng) for row, part in zip(rows, task.parts, strict=True)])
         size = np.linalg.svd(_JACOBIAN(robot, jnp.asarray(x), jnp.asarray(goal), task), compute_uv=False)
         found = max(found, int((size > FLAT * size.max(initial=0.0)).sum()))
     return found
@@ -161,18 +172,19 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
     for k, row in enumerate(rows, 1):
         if "rotations" in row.uses and workpiece.frames.rotations is None:
             remedy = "add columns qw,qx,qy,qz to its file, or set workpiece.path_angles for columns of angles"
-            raise InputError(f"task.{k} ({row}): the path has no orientations; {remedy}")
-        if row.frame == "path":
+            raise RowError(f": the path has no orientations; {remedy}", f"{k} ({row})")
+        if isinstance(row, PointRow) and row.frame == "path":
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):
-                raise InputError(
-                    f"task.{k} ({row}): tangent and normal are parallel at point {flat[0] + 1} of the path"
-                )
+                reason = f": tangent and normal are parallel at point {flat[0] + 1} of the path"
+                raise RowError(reason, f"{k} ({row})")
 
 
-def _turns_against_world(row: TaskRowKind, robot: Robot) -> bool:
-    """Return True for an angular row about a world direction if its angle may be the same in all configurations."""
-    return isinstance(row, TaskRow) and row.angular and row.is_in_world and (robot.part_moves or row.is_of_path)
+def _is_angle_to_world(row: TaskRowKind, robot: Robot) -> bool:
+    """Return True for an angle to a direction of the world that may be the same in all configurations."""
+    if not (isinstance(row, BuiltInRow) and row.angular and row.is_in_world):
+        return False
+    return robot.part_moves or row.is_of_path
 
 
 def _slopes(robot: Robot, part: Row) -> Float[np.ndarray, "D V N"]:
@@ -182,7 +194,7 @@ def _slopes(robot: Robot, part: Row) -> Float[np.ndarray, "D V N"]:
     return np.array([_SLOPES(robot, jnp.asarray(each), Task((part,))) for each in x])
 
 
-def _check_turns(k: int, row: TaskRow, robot: Robot, part: Row) -> None:
+def _check_turns(k: int, row: TaskRowKind, robot: Robot, part: Row) -> None:
     """Check that the joints can satisfy the equations of a row about a world direction.
 
     Raises:
@@ -191,13 +203,14 @@ def _check_turns(k: int, row: TaskRow, robot: Robot, part: Row) -> None:
     sizes = np.linalg.svd(_slopes(robot, part), compute_uv=False)
     turns = int((sizes > FLAT).sum(axis=1).max())
     if turns < part.equalities:
-        raise InputError(
-            f"task.{k} ({row}): it has {part.equalities} equations, but the joints rotate it in only {turns} "
-            "directions; set cone_deg or within_deg to allow an angle"
+        raise RowError(
+            f": it has {part.equalities} equations, but the joints rotate it in only {turns} directions; set cone_deg "
+            "or within_deg to allow an angle",
+            f"{k} ({row})",
         )
 
 
-def _check_constant(k: int, row: TaskRow, robot: Robot, part: Row, goals: Float[np.ndarray, "T g"]) -> None:
+def _check_constant(k: int, row: TaskRowKind, robot: Robot, part: Row, goals: Float[np.ndarray, "T g"]) -> None:
     """Check a row whose angle no joint changes; all other rows are skipped.
 
     Raises:
@@ -211,9 +224,10 @@ def _check_constant(k: int, row: TaskRow, robot: Robot, part: Row, goals: Float[
     if len(far := np.flatnonzero(slack < 0)):
         most = float(goals[far[0], -1])
         angle = np.rad2deg(most - float(part.slack(value, goals[far[0]])[0]))
-        raise InputError(
-            f"task.{k} ({row}): no joint changes this angle; it is {angle:.4g} degrees at point {far[0] + 1} of the "
-            f"path, and at most {np.rad2deg(most):.4g} are allowed; increase this limit or change the direction"
+        raise RowError(
+            f": no joint changes this angle; it is {angle:.4g} degrees at point {far[0] + 1} of the path, and at most "
+            f"{np.rad2deg(most):.4g} are allowed; increase this limit or change the direction",
+            f"{k} ({row})",
         )
 
 
@@ -231,10 +245,8 @@ def _check_pairs(rows: Sequence[TaskRowKind], task: Task, goals: Sequence[np.nda
         elif isinstance(a, TaskPoint | PointAlong) and isinstance(b, TaskPoint | PointAlong):
             found = _unmet_bands((a, b), own, task.tolerance_m)
         if found:
-            raise InputError(
-                f"task.{i + 1} ({rows[i]}) and task.{k + 1} ({rows[k]}) contradict each other at point {found[0] + 1} "
-                f"of the path: {found[1]}"
-            )
+            reason = f" contradict each other at point {found[0] + 1} of the path: {found[1]}"
+            raise RowError(reason, f"{i + 1} ({rows[i]})", f"{k + 1} ({rows[k]})")
 
 
 def _unmet_turns(

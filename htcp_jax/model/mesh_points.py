@@ -163,11 +163,6 @@ def _default_radius(total: float, body: NearbyBody | None) -> float:
     return max(min(required, coarsest), finest)
 
 
-def covering_radius(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Return the exact covering radius of each triangle by its own corners [m]; see the module's docstring."""
-    return _covering_radius(longest_edge_first(np.moveaxis(triangles, 0, 2)))
-
-
 def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
     """Return each triangle's covering radius [m]. The longest edge is from b to c, so the largest angle is at a."""
     b, c, a = corners

@@ -17,7 +17,6 @@ from htcp_jax.model.row_bounds import Region, Slabs
 from htcp_jax.types import Array, Float, Triple
 
 XYZ = (0, 1, 2)
-AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised
 AIM_SHARE = 0.25  # upper limit of AIM_RAD and AIM_M, as a share of the half angle or band
 SLACK = 1e-6  # widening of goals on the approach, for rounding [rad; for rows of other packages also m]
 

@@ -11,12 +11,14 @@ from . import (
     plans,
     smoothing,
     start_cause,
+    start_check,
     step_functions,
     tool_cells,
     transfers,
 )
 from .collision_checker import CollisionChecker
 from .dead_ends import Tried
+from .execution import Execution
 from .motion import Motion
 from .plans import Plans
 from .problem import Problem
@@ -24,6 +26,7 @@ from .via_points import ViaPoints
 
 __all__ = [
     "CollisionChecker",
+    "Execution",
     "Motion",
     "Plans",
     "Problem",
@@ -41,6 +44,7 @@ __all__ = [
     "plans",
     "smoothing",
     "start_cause",
+    "start_check",
     "step_functions",
     "tool_cells",
     "transfers",

@@ -19,7 +19,7 @@ from htcp_jax.device import Executor, tables
 from htcp_jax.model import Task
 from htcp_jax.model import task as tasks
 from htcp_jax.motion.lane_inputs import LaneInputs
-from htcp_jax.motion.step_functions import ADVANCE, PATH_CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
+from htcp_jax.motion.step_functions import ADVANCE, CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
 from htcp_jax.numerics import ragged_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
@@ -116,11 +116,17 @@ class CollisionChecker:
     def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
         """Return True for straight joint paths that are clear by `settings.path_test`, the bare tip included.
 
-        With `bisection` it uses the executable of `edges`, so that no other one is compiled.
+        With `bisection` the paths are proven to be clear, by the executable of `edges`. With `samples` only the
+        configurations between `settings.path_steps` equal steps are tested, without the ends.
         """
         if self._settings.path_test == "bisection":
             return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == SegmentStatus.VALID
-        return self._tip_free_along(inputs, a, b, self.executor(PATH_CLEAR, inputs, a, b))
+        clear, steps = np.ones(len(a), bool), self._settings.path_steps
+        for step in range(1, steps):
+            if clear.any():
+                own, start, end = tables.gather((inputs, a, b), clear)
+                clear[clear] = self.executor(CLEAR, own, start + step / steps * (end - start))
+        return self._tip_free_along(inputs, a, b, clear)
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
         good = np.array(among)

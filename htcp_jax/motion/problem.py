@@ -1,28 +1,35 @@
 """`Problem`: the input of a planning method."""
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Int
 
-from htcp_jax.clearance import Obstacles, Scene
-from htcp_jax.clearance.obstacles import tip_guard
+from htcp_jax.clearance import Obstacle, Obstacles, Scene
+from htcp_jax.clearance.obstacles import given_obstacle, of_workpiece, tip_guard
 from htcp_jax.device import Executor
 from htcp_jax.device import devices as compute_devices
+from htcp_jax.device import processes as worker_processes
+from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
+from htcp_jax.motion import start_check
 from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.execution import DEFAULT, Execution
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
-from htcp_jax.settings import Settings
+from htcp_jax.settings import Settings, settings_of
+from htcp_jax.spec import ObstacleKind
 from htcp_jax.types import Anywhere
 
 FoundInThread = TypeVar("FoundInThread")
+Rows = int | np.integer | Int[np.ndarray, "n"]
 
 
 def ignore(tracked: int, finished: int) -> None:
@@ -31,12 +38,11 @@ def ignore(tracked: int, finished: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Input of a method: S scenarios with up to T targets, arm, workpiece and obstacles, devices and threads.
+    """Input of a method: S scenarios with up to T targets, arm, workpiece and obstacles, and how to execute it.
 
-    A problem is final: before a method gets it, starts are chosen and scenarios are refused. Its arrays are read-only.
-    `progress` has two arguments: the numbers of newly tracked targets and of newly finished scenarios. It may be called
-    at any time, on any thread; an exception in it ends planning. If `check_paths` is True, joint paths that the method
-    did not check are checked after its `plan`.
+    `Problem.of` makes a problem. It is final: before a method gets it, starts are chosen and scenarios are refused. Its
+    arrays are read-only. `progress` has two arguments: the numbers of newly tracked targets and of newly finished
+    scenarios. It may be called at any time, on any thread; an exception in it ends planning.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`
@@ -44,22 +50,100 @@ class Problem:
     scenarios: Scenario  # stacked: a leading axis of S on every leaf, numpy
     settings: Settings
     task: Task  # constraints at every target
-    obstacles: Obstacles  # all obstacles, including the workpiece's
-    devices: Sequence[jax.Device]  # all CPUs or all GPUs
-    threads: int  # 1 or more
-    check_paths: bool = True
+    other_obstacles: Obstacles = ()  # in addition to the workpiece's
+    execution: Execution = DEFAULT
+    check_paths: bool = True  # True: after `plan`, joint paths that the method did not check are checked
+    check_starts: bool = False  # True: a start in collision is an error
     progress: Callable[[int, int], None] = ignore
+    prepared_s: float = 0.0  # time that `of` took, a part of `Plans.run_s`
+    checkers: tuple[CollisionChecker, ...] = ()  # one for each device, made with the problem
 
     def __post_init__(self):
         object.__setattr__(self, "scenarios", jax.tree.map(_read_only, self.scenarios))
+        if not self.checkers:
+            object.__setattr__(self, "checkers", self._new_checkers())
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        workpiece: Workpiece,
+        scenarios: Scenario | Sequence[Scenario],
+        settings: Settings | Mapping[str, Any] | None = None,
+        task: Task | None = None,
+        obstacles: Sequence[Obstacle | ObstacleKind] = (),
+        execution: Execution = DEFAULT,
+        *,
+        check_paths: bool = True,
+        check_starts: bool = False,
+    ) -> "Problem":
+        """Check the input of a plan, and return it as a problem.
+
+        Args:
+            robot: The arm with its tool.
+            workpiece: The part that the scenarios place.
+            scenarios: One or several scenarios from `make_scenario`, or stacked scenarios.
+            settings: Settings, or a mapping such as {"alpha_rad": 0.05} that changes the defaults.
+            task: The constraints at every target; None: the TCP's position within `tolerance_m`.
+            obstacles: Obstacles in addition to the workpiece, see `obstacle.Obstacle`.
+            execution: Devices, threads and processes.
+            check_paths: Afterwards check the straight joint path (`Plans.path_clear`) of every accepted step that the
+                method did not check itself, verify the motion of every segment, and smooth the motions if
+                `settings.smooth` or the method requires it.
+            check_starts: True to raise an error for a start in collision, which otherwise gets a status.
+
+        Raises:
+            InputError: For an unknown device or setting, weights of the wrong length, no scenarios, a task with more
+                rows than joints or that does not match the columns of the targets, and, with `check_starts`, a start
+                with an overlap of excluded capsules.
+        """
+        settings = settings_of(settings)
+        _check_settings(settings, robot)
+        if not isinstance(scenarios, Scenario):
+            scenarios = scenario_functions.stack(scenarios)
+        elif scenarios.x_start.ndim == 1:
+            scenarios = scenario_functions.stack([scenarios])
+        others, scenarios = given_obstacle.with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+        scenarios = start_check.with_refused(robot, others, scenarios, check_starts)
+        task = Task(tolerance_m=settings.tolerance_m) if task is None else task
+        _check_task(task, robot, scenarios)
+        compute_devices.choose(execution.device)  # an unknown one is an error before the time below begins
+        began = time.perf_counter()
+        limited = scenario_functions.with_max_joint_step(scenarios, settings.max_joint_step_rad)
+        problem = cls(robot, workpiece, limited, settings, task, others, execution, check_paths, check_starts)
+        return replace(problem, prepared_s=time.perf_counter() - began)
 
     @cached_property
-    def checkers(self) -> tuple[CollisionChecker, ...]:
-        """Collision checkers of this scene, one for each device."""
-        scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
-        extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads per scenario
-        each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
-        return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
+    def obstacles(self) -> Obstacles:
+        """All obstacles, including the workpiece's."""
+        return of_workpiece.all_obstacles(self.workpiece, self.other_obstacles)
+
+    @cached_property
+    def devices(self) -> list[jax.Device]:
+        """All CPUs or all GPUs of the execution."""
+        return compute_devices.choose(self.execution.device)
+
+    @cached_property
+    def threads(self) -> int:
+        """Number of engines of this process, 1 or more."""
+        return self.execution.threads or compute_devices.default_threads(self.devices, self.settings.qp)
+
+    @property
+    def processes(self) -> int:
+        """Number of processes to share the scenarios; 1 unless this is a CPU."""
+        if self.devices[0].platform != "cpu":
+            return 1
+        if self.execution.processes is not None or self.execution.threads:
+            return self.execution.processes or 1
+        targets = self.execution.targets_in_all or int(self.scenarios.count.sum())
+        return worker_processes.profitable_count(self.threads, len(self.scenarios.number), targets)
+
+    def _new_checkers(self) -> tuple[CollisionChecker, ...]:
+        with compute_devices.on(self.devices[0]):
+            scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
+            extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads per scenario
+            each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
+            return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)
 
     @cached_property
     def begins_anywhere(self) -> Bool[np.ndarray, "S"]:
@@ -78,9 +162,16 @@ class Problem:
         plans.status[refused, 0] = self.scenarios.refused[refused]
         return plans
 
-    def inputs(self, scenario: int, target: int, count: int = 1) -> LaneInputs:
-        """Return the inputs of a `CollisionChecker` for one target of a scenario, in `count` equal rows."""
-        return lane_inputs(self.scenarios, np.full(count, scenario), np.full(count, target))
+    def inputs(self, scenario: Rows, target: Rows, count: int = 1) -> LaneInputs:
+        """Return the inputs of lane functions and of a `CollisionChecker`, in `count` equal rows for each target.
+
+        Args:
+            scenario: Row of a scenario, or n rows.
+            target: Index of the target, or n of them.
+            count: Number of equal rows; those of one target follow each other.
+        """
+        rows = np.broadcast_arrays(scenario, target)
+        return lane_inputs(self.scenarios, *(np.repeat(each, count) for each in rows))
 
     def in_threads(
         self, work: Callable[[CollisionChecker, slice], FoundInThread], threads: int | None = None
@@ -107,9 +198,7 @@ class Problem:
 
     def with_scenarios(self, scenarios: Scenario, progress: Callable[[int, int], None] | None = None) -> "Problem":
         """Return the problem with other scenarios, and the same checkers; `progress` replaces the callback."""
-        other = replace(self, scenarios=scenarios, progress=progress or self.progress)
-        vars(other)["checkers"] = self.checkers
-        return other
+        return replace(self, scenarios=scenarios, progress=progress or self.progress)
 
     def as_planned(self, plans: Plans) -> "Problem":
         """Return the problem with the targets of a method's plans.
@@ -120,6 +209,27 @@ class Problem:
         before = np.arange(plans.target.shape[1]) < self.scenarios.on_path[:, None]
         left = np.logical_or.accumulate((plans.target != self.scenarios.targets).any(axis=2), axis=1) & before
         return self.with_scenarios(scenario_functions.with_free_approach(self.scenarios, left)) if left.any() else self
+
+
+def _check_settings(settings: Settings, robot: Robot) -> None:
+    """Check the length of weights, and that the solver is installed, even if the method does not use it."""
+    joints = len(robot.joint_names)
+    for name in ("q_weights", "path_weights", "max_joint_step_rad"):
+        weights = getattr(settings, name)
+        if isinstance(weights, tuple) and len(weights) != joints:
+            raise InputError(f"{name} has {len(weights)} values, but the robot {robot.name} has {joints} joints")
+    if settings.qp.startswith("qpsolvers:"):
+        from htcp_jax.solvers import QPSolversSolver
+
+        QPSolversSolver(settings.qp.partition(":")[2])
+
+
+def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
+    task.freedom(robot)
+    if scenarios.task_goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
+        raise InputError(f"the task has {task.rows} equations, but the targets have {given} numbers")
+    if scenarios.task_goals is not None and (given := scenarios.task_goals.shape[-1]) != task.numbers:
+        raise InputError(f"the task needs {task.numbers} numbers at each target, but the goals have {given}")
 
 
 def _read_only(array: Anywhere) -> np.ndarray:

@@ -5,6 +5,8 @@ pairs are measured at the random configurations that were sampled to find a star
 """
 
 from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Future
 from typing import NamedTuple
 
 import jax
@@ -12,17 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance import Obstacles, Scene, contacts, nearest_to
-from htcp_jax.clearance.obstacles import of_workpiece, self_collision
-from htcp_jax.device import devices, lane_function, tables
-from htcp_jax.model import Robot, Scenario, Task, Workpiece
+from htcp_jax.clearance import Scene, contacts, nearest_to
+from htcp_jax.clearance.obstacles import self_collision
+from htcp_jax.device import lane_function, tables
+from htcp_jax.errors import InputError
+from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
+from htcp_jax.motion import start_check
 from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.transfers import drawn_configurations
-from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
 CAUSES = Status.START_IN_COLLISION, Status.HOME_IN_COLLISION, Status.NO_START  # statuses with a cause
@@ -58,35 +61,17 @@ class StartCause(NamedTuple):
         return scenario_functions.without_pose(T_world_workpiece) if is_part else ""
 
 
-def start_causes(
-    robot: Robot,
-    workpiece: Workpiece,
-    scenarios: Scenario,
-    status: Int[np.ndarray, "S"],
-    settings: Settings,
-    task: Task,
-    obstacles: Obstacles,
-    rounds: int = ROUNDS,
-) -> dict[int, StartCause]:
+def start_causes(problem: Problem, status: Int[np.ndarray, "S"], rounds: int = ROUNDS) -> dict[int, StartCause]:
     """Return the reasons why scenarios cannot begin: row -> reason, for rows with a status of `CAUSES`.
 
     Args:
-        robot: The arm with its tool.
-        workpiece: The part.
-        scenarios: Stacked scenarios.
+        problem: The problem.
         status: Statuses of the scenarios' first targets.
-        settings: The settings that the scenarios were planned with.
-        task: The task.
-        obstacles: Obstacles in addition to the workpiece.
         rounds: Maximum number of rounds of sampled starts to measure.
     """
     rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
-    if not rows:
-        return {}
-    known = of_workpiece.all_obstacles(workpiece, obstacles)
-    problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
     causes = {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
-    places = {s: cause.place(scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
+    places = {s: cause.place(problem.scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
     return {s: cause._replace(description=places[s] + cause.description) for s, cause in causes.items()}
 
 
@@ -120,31 +105,49 @@ def standing_overlap(problem: Problem, s: int) -> StartCause | None:
     return found.cause(row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
 
 
-def nearest_bodies(
-    robot: Robot,
-    workpiece: Workpiece,
-    scenario: Scenario,
-    x: Float[np.ndarray, "N"],
-    settings: Settings,
-    task: Task,
-    obstacles: Obstacles,
-) -> tuple[str, str]:
+def check_starts(problem: Problem, compilations: Sequence[Future]) -> None:
+    """Check that no scenario's home or start is in collision, see `start_check.check_start`.
+
+    Starts in collision are found by an executable that planning needs anyway.
+
+    Args:
+        problem: The problem.
+        compilations: Compilations to cancel before the error is raised.
+
+    Raises:
+        InputError: If a home or a start is in collision.
+    """
+    for s in problem.to_plan.tolist():
+        one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
+        for x in start_check.begins_at(one).values():
+            if problem.checkers[0].states(problem.inputs(s, 0), x[None]).clearance[0] <= 0:
+                for each in compilations:
+                    each.cancel()
+                start_check.check_start(problem.robot, problem.workpiece, one, problem.other_obstacles)
+
+
+def refuse_standing_overlaps(problem: Problem) -> None:
+    """Check that no scenario without a start has an overlap in every configuration.
+
+    Raises:
+        InputError: If a scenario has such an overlap; the message names the bodies and the depth.
+    """
+    for s in np.flatnonzero(problem.scenarios.refused == Status.NO_START).tolist():
+        if (found := standing_overlap(problem, s)) is not None:
+            place = found.place(problem.scenarios.T_world_workpiece[s])
+            raise InputError(f"{place}no start exists: {found.description}")
+
+
+def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, str]:
     """Return the label of the capsule with the minimum clearance at x, and the name of the obstacle nearest to it.
 
     Args:
-        robot: The arm with its tool.
-        workpiece: The part.
-        scenario: The scenario.
+        problem: The problem; its first scenario is measured.
         x: The configuration [rad or m].
-        settings: The settings that the scenario was planned with.
-        task: The task.
-        obstacles: Obstacles in addition to the workpiece.
     """
-    known, scenarios = of_workpiece.all_obstacles(workpiece, obstacles), scenario_functions.stack([scenario])
-    problem = Problem(robot, workpiece, scenarios, settings, task, known, devices.choose(None)[:1], 1)
     found = _Measured(problem, 0, x[None])
     name, other = found.pair(int(found.distance[0].argmin()), 0)
-    return robots.capsule_label(robot, name), other
+    return robots.capsule_label(problem.robot, name), other
 
 
 class _Measured:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import Scene, in_workpiece
+from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import linearisation
 from htcp_jax.clearance.proof import bisection, motion_proof
 from htcp_jax.device import Loop, by_chunks, lane_function
@@ -167,9 +167,9 @@ def track(
     return Loop(TrackingState(known, iteration, jnp.full((), int(step_qp.QPStatus.SOLVED), jnp.int32)), going, step)
 
 
-def is_path_clear(settings: Settings, scene: Scene, lane: LaneInputs, a, b):
-    """Return True if the straight joint path from a to b is clear."""
-    return motion_proof.path_clear(scene, settings, lane, a, b)
+def is_configuration_clear(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Return True if the arm touches no obstacle at x."""
+    return is_clear(scene.robot, scene.obstacles, lane, x)
 
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
@@ -232,7 +232,7 @@ ADVANCE_SMALLEST = lane_function.LaneFunction("advance", advance_smallest, lane_
 TRACK_CHUNK = lane_function.LaneFunction(
     "track", track, lane_function.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance")
 )
-PATH_CLEAR = lane_function.LaneFunction("check_path", is_path_clear, lane_function.STEP, ("path_test", "path_steps"))
+CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP)
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)

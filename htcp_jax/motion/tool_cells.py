@@ -94,9 +94,10 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
         bodies: The bodies that the proof may use, see `exclusion.Bodies`.
     """
     robot, task = scene.robot, scene.task
-    cell = arm_exclusion.tool_cell(scene, lane, lane.margin_m, task.tcp_place(lane.target), quaternion, rho, bodies)
+    cell = exclusion.ToolCell(task.tcp_place(lane.target), quaternion, rho)
+    bounds = arm_exclusion.tool_cell(scene, lane, cell, bodies)
     turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
-    return cell._replace(collides=cell.collides | (turn > rho + ROUNDING_RAD))
+    return bounds._replace(collides=bounds.collides | (turn > rho + ROUNDING_RAD))
 
 
 def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> arm_exclusion.CellBounds:
@@ -118,8 +119,7 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
     x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, arm_exclusion.WRIST)))
     turns = 0.5 * (upper - lower) * half
-    place = scene.task.tcp_place(lane.target)
-    return arm_exclusion.arm_cell(scene, lane, lane.margin_m, place, x, turns, bodies)
+    return arm_exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
 
 
 def branch(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, number, bodies):
@@ -134,8 +134,8 @@ def branch(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, 
         number: Index of the branch.
         bodies: The bodies that the proof may use, see `exclusion.Bodies`.
     """
-    place = scene.task.tcp_place(lane.target)
-    return branch_exclusion.branch_collides(scene, lane, lane.margin_m, place, quaternion, rho, number, bodies)
+    cell = exclusion.ToolCell(scene.task.tcp_place(lane.target), quaternion, rho)
+    return branch_exclusion.branch_collides(scene, lane, cell, number, bodies)
 
 
 TOOL, ARM = lane_function.LaneFunction("tool", tool, MANY), lane_function.LaneFunction("arm", cell_bounds, MANY)

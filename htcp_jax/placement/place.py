@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import grid as grids
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Plans, start_check
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
@@ -40,7 +40,6 @@ from htcp_jax.placement.scores import (
 )
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, SearchResults, best_apart, even, score
 from htcp_jax.placement.tolerance import TRIED, most_tried, perturbed, tolerances
-from htcp_jax.planning import start_clearance
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.runs import sweep as sweeps
@@ -228,8 +227,9 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
     cell, scenario = batch.cells[0], jax.tree.map(itemgetter(0), batch.scenarios)
     why = Status(int(first[0])).message
     if Status(int(first[0])) in (Status.START_IN_COLLISION, Status.HOME_IN_COLLISION):
-        depth, body, other = start_clearance(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
-        why = f"{body} is {-1e3 * depth:.3g} mm inside {other} in the first of them" if depth <= 0 else why
+        near = start_check.start_contact(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
+        if near.clearance_m <= 0:
+            why = f"{near.body} is {-1e3 * near.clearance_m:.3g} mm inside {near.other} in the first of them"
     shutil.rmtree(folder)
     raise InputError(f"{search.name}: no motion can start in any of {len(found.values):,} mountings: {why}")
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import build, grid_axes, load_config
+from htcp_jax.jobs import build, grid_axes, load_config, resolve, source_of
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planning import registry
 from htcp_jax.spec import PlanConfig, examples, strict_model
@@ -117,6 +117,7 @@ def load_search(
         config = examples.example_or_path(file.config, path.parent)
     job = load_config(config, overrides)
     robot = build.robot_of(job.robot, tree=job.tree)
+    job = resolve(job, robot, source_of(config))
     ranges = read_ranges(f"{path}: place", file.place, robot.joint_names, job.model_dump())
     words = grid_axes.FILE_KEYS["workpiece.path"]
     seams = tuple(grid_axes.absolute(name if name in words else str(path.parent / name), words) for name in file.seams)

@@ -22,7 +22,7 @@ import yaml
 
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io import arrays
-from htcp_jax.jobs import load_config
+from htcp_jax.jobs import load_config, with_weights
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.runs import columns as columns_of_files
@@ -212,9 +212,10 @@ def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
     for old in found.folder.glob("best-*.yaml"):
         old.unlink()
     base = {} if search.config is None else {"config": str(examples.example_or_path(search.config).resolve())}
-    plain = load_config(base.get("config")).model_dump(mode="json")
+    plain = load_config(base.get("config"))
     for name, config in zip(names, configs, strict=True):
-        own = _changed_keys(config.model_dump(mode="json"), plain) | {"method": search.file.confirm}
+        without = with_weights(plain, len(config.settings.q_weights)).model_dump(mode="json")
+        own = _changed_keys(config.model_dump(mode="json"), without) | {"method": search.file.confirm}
         text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
         output_files.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
 

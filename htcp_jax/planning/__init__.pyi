@@ -1,13 +1,13 @@
 from . import batch, inserted_goals, methods, registry
-from .batch import Progress, start_clearance
-from .method import Method
+from .batch import Progress
+from .method import Method, WarmUp
 
 __all__ = [
     "Method",
     "Progress",
+    "WarmUp",
     "batch",
     "inserted_goals",
     "methods",
     "registry",
-    "start_clearance",
 ]

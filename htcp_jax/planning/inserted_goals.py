@@ -95,16 +95,19 @@ def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings)
     return found
 
 
-def planned(plan: PlanRows, problem: Problem, pieces: Int[np.ndarray, "S T"]) -> Plans:
-    """Return the plans of a problem, planned with goals inserted on its segments.
+def planned(plan: PlanRows, problem: Problem) -> Plans:
+    """Return the plans of a problem, planned with goals inserted on its long segments.
 
     Args:
         plan: Function that plans some scenarios with all proofs. Its arguments are their problem with inserted goals,
             and their rows in `problem`.
         problem: The problem without inserted goals.
-        pieces: Number of parts of the segment to each target, see `pieces_of`.
     """
-    rows, report = np.arange(len(pieces)), _Progress(problem)
+    pieces = pieces_of(problem.robot, problem.task, problem.scenarios, problem.settings)
+    rows = np.arange(len(pieces))
+    if (pieces == 1).all():
+        return plan(problem, rows)
+    report = _Progress(problem)
     plans = _planned(plan, problem, rows, pieces, report)
     for _ in range(HALVINGS):
         lost = _not_followed(plans)

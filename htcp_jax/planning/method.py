@@ -1,10 +1,17 @@
 """Base class of planning methods."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
     from htcp_jax.motion import Plans, Problem
+
+
+class WarmUp(NamedTuple):
+    """Calls of lane functions, each a tuple (lane function, *tables), see `Executor.preparing`."""
+
+    first: Sequence[tuple] = ()  # calls of every plan, in the order of use; compiled while planning begins
+    hard: Sequence[tuple] = ()  # calls for hard targets, the longest compilation first; a sweep compiles them, too
 
 
 class Method:
@@ -33,13 +40,6 @@ class Method:
         """
         raise NotImplementedError
 
-    def first_calls(self, problem: "Problem") -> Sequence[tuple]:
-        """Return calls that `plan` will make, to compile their functions in parallel, see `Executor.preparing`."""
-        return ()
-
-    def further_calls(self, problem: "Problem") -> Sequence[tuple]:
-        """Return calls that `plan` makes if targets are hard; a sweep compiles their functions, too, before it plans.
-
-        The call with the longest compilation comes first.
-        """
-        return ()
+    def warm_up(self, problem: "Problem") -> WarmUp:
+        """Return calls of lane functions that `plan` makes, to compile these functions in parallel before the calls."""
+        return WarmUp()

@@ -1,9 +1,13 @@
-"""The built-in methods: path tracking by step QPs with different recoveries, and the beam search, `beam`."""
+"""The built-in methods: path tracking by step QPs with different recoveries, and the beam search, `beam`.
+
+`find` also finds the methods of other packages.
+"""
 
 import jax
 
 from htcp_jax.planning.beam.beam import BeamSearchMethod
-from htcp_jax.planning.registry import DESCRIPTIONS
+from htcp_jax.planning.method import Method
+from htcp_jax.planning.registry import DESCRIPTIONS, METHODS
 from htcp_jax.planning.tracking.sampling import best_nspace_samples, cspace_samples, nspace_samples
 from htcp_jax.planning.tracking.stages import NullSpace, Sample
 from htcp_jax.planning.tracking.step_qps import StepQPs
@@ -69,10 +73,7 @@ BUILT_IN = (
             NullSpace(lambda problem, seen, key, s: sphere.adam(problem, seen, start_key=_start_key(s, key)), _FIRST),
         ),
     ),
-    StepQPs(
-        *_named("keep-clear"),
-        keep_clear=True,
-    ),
+    StepQPs(*_named("keep-clear"), keep_clear=True),
     StepQPs(
         *_named("hybrid"),
         stages=(
@@ -85,7 +86,21 @@ BUILT_IN = (
         replan_backwards=True,
         check_paths=True,
     ),
-    BeamSearchMethod(
-        *_named("beam"),
-    ),
+    BeamSearchMethod(*_named("beam")),
 )
+_BY_NAME: dict[str, Method] = {method.name: method for method in BUILT_IN}
+
+
+def find(name: str) -> Method:
+    """Return the method with the given name.
+
+    Raises:
+        InputError: If the name is unknown, or the method cannot be imported. In the second case the message names the
+            method's entry point and package.
+    """
+    return _BY_NAME[name] if name in _BY_NAME else METHODS.find(name)
+
+
+def is_shared(method: Method) -> bool:
+    """Return True if other processes find the same method by its name."""
+    return method is _BY_NAME.get(method.name) or METHODS.is_shared(method)

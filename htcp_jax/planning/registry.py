@@ -1,7 +1,8 @@
-"""Registry of planning methods by name; see `htcp_jax.spec.registry` for registries in general."""
+"""Names and descriptions of planning methods, and the registry of those of other packages.
 
-from collections.abc import Iterator, Mapping
-from importlib import import_module
+No method is imported here. `planning.methods` has the built-in ones, and finds any method by its name.
+"""
+
 from typing import Any
 
 from htcp_jax.planning.method import Method
@@ -39,23 +40,7 @@ DESCRIPTIONS = {  # titles and descriptions of the built-in methods, known befor
 }
 
 
-class _BuiltIn(Mapping[str, Method]):
-    """The built-in methods, imported when one of them is used."""
-
-    def __getitem__(self, name: str) -> Method:
-        return {method.name: method for method in import_module("htcp_jax.planning.methods").BUILT_IN}[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in DESCRIPTIONS
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(DESCRIPTIONS)
-
-    def __len__(self) -> int:
-        return len(DESCRIPTIONS)
-
-
-METHODS = Registry("htcp_jax.methods", "method", _fault, _BuiltIn)
+METHODS = Registry("htcp_jax.methods", "method", _fault, tuple(DESCRIPTIONS))
 
 
 def descriptions() -> dict[str, tuple[str, str]]:
@@ -63,18 +48,7 @@ def descriptions() -> dict[str, tuple[str, str]]:
 
     A method of another package that cannot be imported is omitted, with a UserWarning.
     """
-    others = {name: (each.title, each.description) for name, each in METHODS.all(without=DESCRIPTIONS).items()}
-    return DESCRIPTIONS | others
-
-
-def find(name: str) -> Method:
-    """Return the method with the given name.
-
-    Raises:
-        InputError: If the name is unknown, or the method cannot be imported. In the second case the message names the
-            method's entry point and package.
-    """
-    return METHODS.find(name)
+    return DESCRIPTIONS | {name: (each.title, each.description) for name, each in METHODS.added().items()}
 
 
 def names() -> tuple[str, ...]:
@@ -93,9 +67,8 @@ def register(value: Any) -> Any:
     Raises:
         InputError: If the value is incomplete, or if its name is already taken or not valid in file names.
     """
-    from htcp_jax.model import task_row_kind
-    from htcp_jax.spec import obstacle_kind
+    from htcp_jax.spec import TASK_ROWS, TaskRowKind, obstacle_kind
 
-    kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, task_row_kind.TaskRowKind: task_row_kind.TASK_ROWS}
+    kinds = {obstacle_kind.ObstacleKind: obstacle_kind.OBSTACLES, TaskRowKind: TASK_ROWS}
     known = (registry for kind, registry in kinds.items() if isinstance(value, type) and issubclass(value, kind))
     return next(known, METHODS).register(value)

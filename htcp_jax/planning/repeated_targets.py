@@ -59,8 +59,8 @@ def _at_one_place(
     return near
 
 
-def planned(plan: Callable[[Problem], Plans], problem: Problem, distinct: Bool[np.ndarray, "S T"]) -> Plans:
-    """Return the plans of a problem in which some targets are repeated.
+def planned(plan: Callable[[Problem], Plans], problem: Problem) -> Plans:
+    """Return the plans of a problem in which some targets may be repeated.
 
     If the configuration of a place does not satisfy the task at a repeated target, all targets of that scenario are
     planned.
@@ -68,9 +68,10 @@ def planned(plan: Callable[[Problem], Plans], problem: Problem, distinct: Bool[n
     Args:
         plan: Function that plans a problem with all proofs.
         problem: The problem.
-        distinct: See `are_distinct`.
     """
-    shown = 0
+    distinct, shown = are_distinct(problem.scenarios, problem.task), 0
+    if distinct.all():
+        return plan(problem)
 
     def progress(tracked: int, finished: int) -> None:
         nonlocal shown

@@ -1,8 +1,8 @@
 """Reports of sweeps: tables, charts, and the document that contains them (HTML, Markdown, CSV).
 
 `make_report` reads runs and returns a `Report` with all tables and figures. `write_report` writes it into a folder, and
-`report_record` converts it for JSON. `charts` draws single figures from arrays, also without a report. A `Table` has
-`Column`s; the command line prints the same tables.
+`report_record` converts it for JSON. `charts` draws single figures from arrays, also without a report. The
+command line prints the same `Table`s.
 
 `chapter` makes the chapter on one part of a run. `tables` contains the tables of results, `timing` the tables of
 cycle times and feed rates, `validation` the tables of the independent validation, and `gate` the verdict of a

@@ -1,10 +1,9 @@
 from . import chapter, charts, gate, reach_study, tables, timing_table, validation
-from .document import Column, Table
+from .document import Table
 from .place_pictures import draw_search
 from .report import make_report, report_record, write_report
 
 __all__ = [
-    "Column",
     "Table",
     "chapter",
     "charts",

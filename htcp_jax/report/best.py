@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from htcp_jax.report.document import Block, Column, Picture, Table
+from htcp_jax.report.document import Block, Picture, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs import labels
+from htcp_jax.runs import columns, labels
 
 BEST = 3  # number of scenarios per method
 RANKED = (
@@ -19,21 +19,17 @@ def best_scenarios(part: Part) -> Table:
     then by joint motion (smallest first).
     """
     own = labels.varying(part.parameters)
-    columns = (
-        Column("method", "method"),
-        Column("scenario", "scenario", "", "d"),
-        *(_column(name, values) for name, values in own.items()),
-        Column("executable", "executable", "targets", "d"),
-        Column("targets", "of", "", "d"),
-        Column("clearance_min_mm", "clearance", "min mm", ".3g"),
-        Column("joint_motion_rad", "joint motion", "rad", ".2f"),
-    )
+    varied = [
+        columns.column(name)._replace(format=".6g" if values.dtype.kind == "f" else "") for name, values in own.items()
+    ]
+    figures = "executable", columns.total("targets"), "clearance_min_mm", "joint_motion_rad"
+    keys = "method", "scenario", *varied, *figures
     rows = []
     for method in part.plans:
         for s, *figures in ranked(part, method)[:BEST]:
             given = [values[s].item() for values in own.values()]
             rows.append((method, int(part.numbers[s]), *given, *figures))
-    return Table("best", columns, tuple(rows))
+    return Table("best", columns.of(*keys), tuple(rows))
 
 
 def ranked(part: Part, method: str) -> list[tuple[int, int, int, float, float]]:
@@ -73,9 +69,3 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
         f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm; the workpiece is cut open"
     )
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
-
-
-def _column(name: str, values: np.ndarray) -> Column:
-    stem, unit = labels.split_unit(name)
-    head = labels.SHORT.get(stem, stem.removeprefix("start_").replace("_", " "))
-    return Column(name, head, unit, ".6g" if values.dtype.kind == "f" else "")

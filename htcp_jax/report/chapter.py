@@ -1,7 +1,6 @@
 """Chapter of the report on one part of a run: sentences, tables and charts."""
 
 import math
-import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
+from htcp_jax.runs import columns
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
@@ -92,7 +92,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         made["motions"],
         meaning(part),
         *_motion_ends(made["motion-ends"]),
-        *timing_section(part, made["timing"], prefix, level, label),
+        *timing_section(part, made["timing"], prefix, level),
         Heading(level, "Failures"),
         *_end_blocks(part, made["stops"], prefix),
         Heading(level, "Clearance and joint motion"),
@@ -135,7 +135,9 @@ def part_facts(part: Part) -> list[str]:
     """Return paragraphs on the part: scenarios, robot, workpiece, job."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
-    varied = ", ".join(f"{label(name).split(' [')[0]}{_axis_range(name, values)}" for name, values in part.axes.items())
+    varied = ", ".join(
+        f"{columns.column(name).heading}{_axis_range(name, values)}" for name, values in part.axes.items()
+    )
     full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
     over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
@@ -198,15 +200,6 @@ def presets() -> dict[str, PlanConfig]:
     return {f"{name}.yaml": load_config(examples.examples()[name]) for name in ("duct", "paper", "port")}
 
 
-def label(name: str) -> str:
-    """Return the label of a parameter's axis, with the unit."""
-    stem, _, unit = name.rpartition("_")
-    if unit not in UNITS:
-        return name
-    text = stem.replace("rotation_", "rotation ").replace("shift_", "workpiece along ").replace("_", " ")
-    return f"{re.sub(r'(?<=[a-z])(?=[0-9])', ' ', text)} [{unit}]"
-
-
 def _success(part: Part, made: dict[str, Table]) -> "Figure":
     rows = made["results"].records()
     theirs = {row["method"]: row["paper_success_percent"] for row in made["paper"].records()}
@@ -229,7 +222,7 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     counts = {method: _count_or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
     open_ = {method: _count_or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
-    axes = {name: charts.Axis(label(name), values.tolist()) for name, values in part.axes.items()}
+    axes = {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
     alt = "Tracked targets of every scenario over the grid, by method"
 
     def over(*chosen):

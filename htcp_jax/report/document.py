@@ -3,45 +3,17 @@
 import base64
 import csv
 import io
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from htcp_jax.markup import escaped
+from htcp_jax.runs import Column, columns
 from htcp_jax.system import files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-NOTHING = "-"
-
-
-def unknown(value: Any) -> bool:
-    """Return True if a cell's value is None or NaN."""
-    return value is None or (isinstance(value, float) and math.isnan(value))
-
-
-class Column(NamedTuple):
-    """Column of a table."""
-
-    key: str  # name in CSV and JSON, including the unit
-    head: str
-    unit: str = ""
-    form: str = ""  # format of numbers; empty for a column of text, which is aligned left
-    quiet: bool = False  # True for reference values, displayed in grey
-
-    @property
-    def title(self) -> str:
-        """Heading with the unit, such as "clearance [mm]"."""
-        return f"{self.head} [{self.unit}]" if self.unit else self.head
-
-    def text(self, value: Any) -> str:
-        """Return a cell's value as text; a dash if it is unknown."""
-        if unknown(value):
-            return NOTHING
-        return format(value, self.form) if self.form else str(value)
 
 
 class Table(NamedTuple):
@@ -52,11 +24,34 @@ class Table(NamedTuple):
     rows: tuple[tuple, ...]
     title: str = ""
 
+    @classmethod
+    def of(cls, name: str, keys: Iterable[str | Column], rows: Iterable[Mapping[str, Any]], title: str = "") -> "Table":
+        """Return the table with the columns of these keys, see `runs.columns`.
+
+        Args:
+            name: Name of the table.
+            keys: Keys of columns, or columns.
+            rows: Values by key; missing values are None, and values of other keys are omitted.
+            title: Title of the table.
+        """
+        chosen = columns.of(*keys)
+        return cls(name, chosen, tuple(tuple(row.get(column.key) for column in chosen) for row in rows), title)
+
+    def part(self, chosen: Sequence[int]) -> "Table":
+        """Return the table with the columns at these indices."""
+        rows = tuple(tuple(row[k] for k in chosen) for row in self.rows)
+        return self._replace(columns=tuple(self.columns[k] for k in chosen), rows=rows)
+
+    def without_empty(self) -> "Table":
+        """Return the table without its columns in which all values are None."""
+        return self.part([k for k in range(len(self.columns)) if any(row[k] is not None for row in self.rows)])
+
     def records(self) -> list[dict]:
         """Return the rows as mappings of values by column key; unknown values are None."""
         keys = [column.key for column in self.columns]
         return [
-            {key: None if unknown(cell) else cell for key, cell in zip(keys, row, strict=True)} for row in self.rows
+            {key: None if columns.unknown(cell) else cell for key, cell in zip(keys, row, strict=True)}
+            for row in self.rows
         ]
 
 
@@ -116,7 +111,7 @@ def write_csv(file: Path, table: Table) -> None:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.key for column in table.columns])
     for row in table.rows:
-        writer.writerow(["" if unknown(cell) else cell for cell in row])
+        writer.writerow(["" if columns.unknown(cell) else cell for cell in row])
     files.write_atomically(file.parent, file.name, stream.getvalue().encode())
 
 
@@ -143,9 +138,9 @@ def _markdown_table(table: Table) -> str:
     lines = [[column.title for column in table.columns], *_texts(table)]
     lines = [[escaped(cell) for cell in line] for line in lines]
     widths = [max(3, *map(len, cells)) for cells in zip(*lines, strict=True)]
-    rule = ["-" * (w - 1) + ":" if c.form else "-" * w for c, w in zip(table.columns, widths, strict=True)]
+    rule = ["-" * (w - 1) + ":" if c.format else "-" * w for c, w in zip(table.columns, widths, strict=True)]
     padded = [
-        [t.rjust(w) if c.form else t.ljust(w) for t, c, w in zip(line, table.columns, widths, strict=True)]
+        [t.rjust(w) if c.format else t.ljust(w) for t, c, w in zip(line, table.columns, widths, strict=True)]
         for line in lines
     ]
     text = "\n".join("| " + " | ".join(line) + " |" for line in (padded[0], rule, *padded[1:]))
@@ -165,9 +160,9 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
 
 
 def _html_table(table: Table) -> str:
-    kinds = [" ".join(("number" if c.form else "", "quiet" if c.quiet else "")).strip() for c in table.columns]
+    kinds = [" ".join(("number" if c.format else "", "quiet" if c.quiet else "")).strip() for c in table.columns]
     heads = [
-        f'<th class="{kind}">{escape(c.head)}<br><small>{escape(c.unit) or "&nbsp;"}</small></th>'
+        f'<th class="{kind}">{escape(c.heading)}<br><small>{escape(c.unit) or "&nbsp;"}</small></th>'
         for c, kind in zip(table.columns, kinds, strict=True)
     ]
     rows = [

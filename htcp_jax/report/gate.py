@@ -3,43 +3,20 @@
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from typing import Any
 
 from htcp_jax.markup import escaped, printable
-from htcp_jax.report.document import Block, Column, Heading, Table, markdown
-from htcp_jax.runs import labels
+from htcp_jax.report.document import Block, Heading, Table, markdown
+from htcp_jax.runs import columns, labels
 from htcp_jax.validation import gate
 
 LISTED = 100  # maximum number of listed scenarios and failures, as a job summary is limited to 1 MiB
-FIGURES = (  # field of a GateRow (the baseline's has the prefix "was_"), name, unit and format
-    ("share", "reachable targets tracked", "%", ".2f"),
-    ("tcp_error_max_mm", "largest TCP error", "mm", ".3f"),
-    ("clearance_min_mm", "minimum clearance", "mm", ".3f"),
-    ("held", "scenarios with the feed held", "", ",d"),
-    ("cycle_mean_s", "mean cycle time", "s", ".3f"),
-)
-COUNTS = (
-    Column("method", "method"),
-    Column("verdict", "verdict"),
-    Column("was_tracked", "baseline", "", ",d"),
-    Column("tracked", "now", "", ",d"),
-    Column("difference", "difference", "", "+,d"),
-    Column("targets", "of", "", ",d"),
-    Column("worse", "scenarios earlier", "", ",d"),
-    Column("better", "scenarios further", "", ",d"),
-)
-DIFFERENCES = tuple(
-    Column(name, name, form=form)
-    for name, form in (("method", ""), ("figure", ""), ("baseline", ">"), ("now", ">"), ("difference", ">"))
-)
-CHANGED = (
-    Column("method", "method"),
-    Column("scenario", "scenario"),
-    Column("was", "baseline", "", ",d"),
-    Column("now", "now", "", ",d"),
-    Column("difference", "difference", "", "+,d"),
-    Column("target", "first at target", "", "d"),
-    Column("reason", "reason"),
-)
+TRACKED = "method", "verdict", *columns.before_and_now("tracked")
+COUNTS = *TRACKED, columns.total("targets"), "worse", "better"
+FIGURES = "share", "tcp_error_max_mm", "clearance_min_mm"
+TIMES = "held", "cycle_mean_s"
+DIFFERENCES = "method", "figure", "was", "now", "difference"
+CHANGED = "method", "scenario", "was", "now", "difference", "target", "reason"
 
 
 def junit(verdict: gate.GateVerdict) -> str:
@@ -118,10 +95,10 @@ def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
     yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
     if verdict.elsewhere:
         yield "The device or the versions differ from the baseline's, so the limits in `allow.elsewhere` apply."
-    counts = tuple(tuple(_count(row, column.key) for column in COUNTS) for row in verdict.rows)
-    yield Table("counts", COUNTS, counts, "Tracked targets")
-    if differing := tuple(line for row in verdict.rows for line in _shown_differences(row)):
-        yield Table("figures", DIFFERENCES, differing, "Other figures that changed")
+    counts = [row._asdict() | {"difference": _difference(row.was_tracked, row.tracked)} for row in verdict.rows]
+    yield Table.of("counts", (*TRACKED, "difference", *COUNTS[len(TRACKED) :]), counts, "Tracked targets")
+    if differing := [each for row in verdict.rows for each in _shown_differences(row)]:
+        yield Table.of("figures", DIFFERENCES, differing, "Other figures that changed")
     for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements)):
         if lines:
             yield f"**{title}**"
@@ -133,7 +110,7 @@ def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
             for one in verdict.changed[:LISTED]
         )
         title = f"{labels.counted(len(verdict.changed), 'scenario')} that changed, in tracked targets"
-        yield Table("changed", CHANGED, tuple(rows), title)
+        yield Table("changed", columns.of(*CHANGED), tuple(rows), title)
         yield from _and_more(verdict.changed)
 
 
@@ -142,17 +119,26 @@ def _and_more(listed: tuple) -> Iterator[str]:
         yield f"and {len(listed) - LISTED:,} more"
 
 
-def _count(row: gate.GateRow, key: str) -> str | int | None:
-    if key == "difference":
-        return None if row.tracked is None else row.tracked - row.was_tracked
-    return getattr(row, key)
+def verdict_tables(verdict: gate.GateVerdict) -> list[Table]:
+    """Return the tables of a comparison by method, without empty columns: counts, figures of the validation, times."""
+    figures = "method", *columns.before_and_now(*FIGURES), "clearance_less_cover_min_mm"
+    rows = [row._asdict() for row in verdict.rows]
+    tables = (
+        Table.of("gate", keys, rows).without_empty()
+        for keys in (COUNTS, figures, ("method", *columns.before_and_now(*TIMES)))
+    )
+    return [table for table in tables if len(table.columns) > 1]
 
 
-def _shown_differences(row: gate.GateRow) -> Iterator[tuple[str, str, str, str, str]]:
+def _difference(was: Any, now: Any) -> Any:
+    return None if was is None or now is None else now - was
+
+
+def _shown_differences(row: gate.GateRow) -> Iterator[dict[str, str]]:
     """Yield the rows of the table DIFFERENCES: a method's figures whose displayed values differ."""
-    for key, name, unit, form in FIGURES:
-        column = Column(key, name, unit, form)
-        was, now = getattr(row, f"was_{key}"), getattr(row, key)
+    for column in columns.of(*FIGURES, *TIMES):
+        was, now = getattr(row, f"was_{column.key}"), getattr(row, column.key)
         if (before := column.text(was)) != (after := column.text(now)):
-            difference = column._replace(form=f"+{form}").text(None if None in (was, now) else now - was)
-            yield row.method, column.title, before, after, difference
+            difference = column._replace(format=f"+{column.format}").text(_difference(was, now))
+            texts = {"was": before, "now": after, "difference": difference}
+            yield {"method": row.method, "figure": column.title, **texts}

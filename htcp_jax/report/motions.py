@@ -1,25 +1,15 @@
 """Table of executable targets, dwells, cost and smoothness of a part's motions."""
 
-import math
-
 import numpy as np
 
-from htcp_jax.report.document import Column, Table
+from htcp_jax.report.document import Table
 from htcp_jax.report.groups import Part
+from htcp_jax.runs import summary
 
 MOTIONS = (
-    Column("method", "method"),
-    Column("tracked", "tracked", "targets", ",d"),
-    Column("executable", "executable", "targets", ",d"),
-    Column("complete_motions", "complete", "motions", ",d"),
-    Column("dwells", "dwells", "targets", ",d"),
-    Column("dwelling", "in", "scenarios", ",d"),
-    Column("cost_median_rad2", "cost", "median rad2", ".3g"),
-    Column("cost_common_rad2", "cost, common", "mean rad2", ".3g"),
-    Column("path_step_max_rad", "longest step", "rad", ".3f"),
-    Column("curvature_median_rad_m2", "curvature", "median rad/m2", ",.0f"),
-    Column("curvature_max_rad_m2", "largest", "rad/m2", ",.0f"),
-)
+    "method", "tracked", "executable", "complete_motions", "dwells", "dwelling", "cost_median_rad2", "cost_common_rad2",
+    "path_step_max_rad", "curvature_median_rad_m2", "curvature_max_rad_m2",
+)  # fmt: skip
 MEANING = (
     "Values are for the executable part of each plan. Dwells are targets of the path at which the arm changes its "
     "configuration while the tool is at rest. Cost is the sum of the squared joint steps, equation (3): its median "
@@ -32,8 +22,7 @@ MEANING = (
 def motion_table(part: Part) -> Table:
     """Return the table of executable targets, dwells, cost, longest step and curvature by method."""
     common = common_scenarios(part)
-    rows = [_motion_row(part, method, common) for method in part.plans]
-    return Table("motions", MOTIONS, tuple(tuple(row[column.key] for column in MOTIONS) for row in rows))
+    return Table.of("motions", MOTIONS, [_motion_row(part, method, common) for method in part.plans])
 
 
 def meaning(part: Part) -> str:
@@ -58,11 +47,11 @@ def _motion_row(part: Part, method: str, common: np.ndarray) -> dict:
         "complete_motions": int(complete.sum()),
         "dwells": int(found.dwells[known].sum()) if known.any() else None,
         "dwelling": int((found.dwells[known] > 0).sum()) if known.any() else None,
-        "cost_median_rad2": _reduced(np.median, found.motion_cost_rad2[complete]),
-        "cost_common_rad2": _reduced(_geometric_mean, found.motion_cost_rad2[common]),
-        "path_step_max_rad": _reduced(np.max, found.path_step_max_rad),
-        "curvature_median_rad_m2": _reduced(np.median, found.curvature_max_rad_m2),
-        "curvature_max_rad_m2": _reduced(np.max, found.curvature_max_rad_m2),
+        "cost_median_rad2": summary.reduced(np.median, found.motion_cost_rad2[complete]),
+        "cost_common_rad2": summary.reduced(_geometric_mean, found.motion_cost_rad2[common]),
+        "path_step_max_rad": summary.reduced(np.max, found.path_step_max_rad),
+        "curvature_median_rad_m2": summary.reduced(np.median, found.curvature_max_rad_m2),
+        "curvature_max_rad_m2": summary.reduced(np.max, found.curvature_max_rad_m2),
     }
 
 
@@ -72,9 +61,3 @@ def _can_be_driven(part: Part, method: str) -> np.ndarray:
 
 def _geometric_mean(values: np.ndarray) -> float:
     return float(np.exp(np.log(values).mean())) if (values > 0).all() else 0.0
-
-
-def _reduced(reduce, values: np.ndarray) -> float:
-    """Apply `reduce` to the values that are not NaN; return NaN if there are none."""
-    known = values[~np.isnan(values)]
-    return float(reduce(known)) if known.size else math.nan

@@ -31,9 +31,9 @@ from htcp_jax.reachability import (
     obstruction,
     reachable_prefixes,
 )
-from htcp_jax.report.document import Column, Table, png, write_csv
-from htcp_jax.report.tables import percent
-from htcp_jax.runs import reachability_file, tables
+from htcp_jax.report.document import Table, png, write_csv
+from htcp_jax.report.tables import reach_rows
+from htcp_jax.runs import columns, reachability_file, tables
 from htcp_jax.system import files, output_files
 
 if TYPE_CHECKING:
@@ -43,12 +43,6 @@ if TYPE_CHECKING:
 
 TABLE, PICTURE = "reach.csv", "reach.png"  # files in addition to reachability_file.REACHABILITY
 LISTED = 12  # maximum number of ranges of targets in a row of the table
-SUMMARY = (
-    Column("reach", "reach"),
-    Column("targets", "targets", "", ",d"),
-    Column("percent", "of all", "%", ".1f"),
-    Column("which", "which"),
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,13 +102,10 @@ class ReachStudy:
 
     def summary(self) -> Table:
         """Return the table of the number of targets by reach; for a single scenario it also lists the targets."""
-        total, rows = sum(self.counts.values()), []
-        for reach, count in self.counts.items():
-            if count:
-                which = _ranges(np.flatnonzero(self.each.reach[0] == reach)) if len(self.each.reach) == 1 else None
-                rows.append((reach.label, count, percent(count, total), which))
-        columns = SUMMARY if len(self.each.reach) == 1 else SUMMARY[:-1]
-        return Table("reach-summary", columns, tuple(row[: len(columns)] for row in rows))
+        rows, reach = reach_rows(self.each.reach), self.each.reach
+        if len(reach) == 1:
+            rows = [row | {"which": _ranges(np.flatnonzero(reach[0] == row["value"]))} for row in rows]
+        return Table.of("reach-summary", ("reach", "targets", "percent", "which"), rows).without_empty()
 
     def table(self) -> Table:
         """Return the table of all targets on the path: position in the world, reach, reason, and a configuration.
@@ -122,13 +113,8 @@ class ReachStudy:
         Only reachable targets have a configuration; only the others have a reason.
         """
         joints = tables.joint_columns(self.batch.robot)
-        columns = (
-            *(Column(key, key, "", "d") for key in ("scenario", "target", "waypoint")),
-            *(Column(f"target_{axis}_m", axis, "m", ".4f") for axis in "xyz"),
-            Column("reach", "reach"),
-            Column("reason", "reason"),
-            *(Column(name, name, "", ".4f") for name in joints),
-        )
+        places = (f"target_{axis}_m" for axis in "xyz")
+        keys = "scenario", "target", "waypoint", *places, "reach", "reason", *joints
         scenarios, rows = self.batch.scenarios, []
         for s, t in np.argwhere(self.each.reach != Reach.NOT_JUDGED).tolist():
             reach = Reach(int(self.each.reach[s, t]))
@@ -137,7 +123,7 @@ class ReachStudy:
             waypoint = t - int(scenarios.on_path[s])
             number = self.batch.points[s].number
             rows.append((number, t, waypoint, *place, reach.words, self.reasons.get((s, t)), *x))
-        return Table("reach", columns, tuple(rows))
+        return Table("reach", columns.of(*keys), tuple(rows))
 
     def frame(self) -> "pandas.DataFrame":
         """Return `table` as a pandas frame.

@@ -15,11 +15,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.planning import registry
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
-from htcp_jax.report.document import Block, Column, Heading, Picture, Table, html, literal, markdown, png, write_csv
+from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
-from htcp_jax.runs import Run, open_run
+from htcp_jax.runs import Run, columns, open_run
 from htcp_jax.runs import tables as run_tables
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
@@ -118,9 +118,9 @@ def overview(results: Mapping[str, Table]) -> Table:
     """
     found = {name: {row["method"]: row for row in table.records()} for name, table in results.items()}
     methods = dict.fromkeys(method for rows in found.values() for method in rows)
-    columns = [Column("method", "method"), *(Column(name, name, "%", ".2f") for name in found)]
+    shown = [columns.column("executable_percent")._replace(key=name, heading=name) for name in found]
     rows = [(m, *(rows[m]["executable_percent"] if m in rows else None for rows in found.values())) for m in methods]
-    return Table("overview", tuple(columns), tuple(rows))
+    return Table("overview", columns.of("method", *shown), tuple(rows))
 
 
 def slug(name: str) -> str:
@@ -131,12 +131,9 @@ def slug(name: str) -> str:
 def _appendix(parts: Sequence[Part]) -> list[Block]:
     ran = {part.run_name: part.run.config for part in parts}
     methods = dict.fromkeys(method for part in parts for method in part.plans)
-    known = {name: method for name, method in registry.METHODS.all().items() if name in methods}
-    about = Table(
-        "methods",
-        (Column("method", "method"), Column("title", "name"), Column("what", "what it does")),
-        tuple((name, known[name].title, known[name].description) for name in methods if name in known),
-    )
+    known = registry.descriptions()
+    rows = ((name, *known[name]) for name in methods if name in known)
+    about = Table("methods", columns.of("method", "title", "description"), tuple(rows))
     presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
     return [
         Heading(2, "What was run"),
@@ -167,15 +164,10 @@ def _concatenated_tables(parts: Sequence[Part], made: Sequence[dict[str, Table]]
     merged = []
     for name in made[0]:
         tables = [each[name] for each in made]
-        keys = dict.fromkeys(column for table in tables for column in table.columns)
-        columns = tuple({column.key: column for column in keys}.values())
-        rows = [
-            (part.name, *(row.get(column.key) for column in columns))
-            for part, table in zip(parts, tables, strict=True)
-            for row in table.records()
-        ]
+        shown = {column.key: column for table in tables for column in table.columns}
+        rows = [{"run": part.name} | row for part, table in zip(parts, tables, strict=True) for row in table.records()]
         if rows:
-            merged.append(Table(name, (Column("run", "run"), *columns), tuple(rows)))
+            merged.append(Table.of(name, ("run", *shown.values()), rows))
     return merged
 
 

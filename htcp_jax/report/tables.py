@@ -14,101 +14,39 @@ from jaxtyping import Int
 from htcp_jax.motion import Plans, motion
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Reach
-from htcp_jax.report.document import Column, Table
+from htcp_jax.report.document import Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs import summary, timing_file
+from htcp_jax.runs import Column, columns, summary, timing_file
 from htcp_jax.spec import PlanConfig
 from htcp_jax.status import SegmentStatus, Status
 
 RESULTS = (
-    Column("method", "method"),
-    Column("success_percent", "success", "%", ".2f"),
-    Column("tracked", "tracked", "targets", ",d"),
-    Column("targets", "of", "", ",d"),
-    Column("executable", "executable", "targets", ",d"),
-    Column("executable_percent", "executable", "%", ".2f"),
-    Column("complete", "complete", "scenarios", ",d"),
-    Column("scenarios", "of", "", ",d"),
-    Column("step_ms", "time/step", "ms", ".2f"),
-    Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
-    Column("orientation_error_mean_deg", "orientation error", "deg", ".4f"),
-    Column("clearance_min_mm", "clearance min", "mm", ".2g"),
-    Column("clearance_mean_mm", "mean", "mm", ".2f"),
-)
-PAIRS = (
-    Column("method", "method"),
-    Column("other", "compared with"),
-    Column("more", "more", "scenarios", ",d"),
-    Column("fewer", "fewer", "scenarios", ",d"),
-    Column("equal", "equal", "scenarios", ",d"),
-    Column("p", "sign test", "p", ".2g"),
-)
+    "method", "success_percent", "tracked", columns.total("targets"), "executable", "executable_percent", "complete",
+    columns.total("scenarios"), "step_ms", "tcp_distance_mean_mm", "orientation_error_mean_deg", "clearance_min_mm",
+    "clearance_mean_mm",
+)  # fmt: skip
+PAIRS = "method", "other", "more", "fewer", "equal", "p"
 PAPER = (
-    Column("method", "method"),
-    Column("success_percent", "success", "%", ".2f"),
-    Column("paper_success_percent", "paper", "%", ".2f", quiet=True),
-    Column("step_ms", "time/step", "ms", ".2f"),
-    Column("paper_step_ms", "paper", "ms", ".0f", quiet=True),
-    Column("tcp_distance_mean_mm", "TCP distance", "mm", ".4f"),
-    Column("paper_tcp_distance_mm", "paper", "mm", ".4f", quiet=True),
-    Column("clearance_mean_mm", "safe distance", "mm", ".4f"),
-    Column("paper_safe_distance_mm", "paper", "mm", ".4f", quiet=True),
-)
-REACH = (
-    Column("reach", "reach"),
-    Column("targets", "targets", "", ",d"),
-    Column("percent", "of all", "%", ".1f"),
-    Column("meaning", "meaning"),
-)
-REACHABILITY = (
-    Column("method", "method"),
-    Column("tracked", "tracked", "targets", ",d"),
-    Column("reachable", "reachable", "targets", ",d"),
-    Column("not_excluded", "not excluded", "targets", ",d"),
-    Column("of_reachable_percent", "of reachable", "%", ".2f"),
-    Column("short", "fall short", "scenarios", ",d"),
-    Column("beyond", "exceed it", "scenarios", ",d"),
-)
+    "method", "success_percent", "paper_success_percent", "step_ms", "paper_step_ms", "tcp_distance_mean_mm",
+    "paper_tcp_distance_mm", "clearance_mean_mm", "paper_safe_distance_mm",
+)  # fmt: skip
+REACH = "reach", "targets", "percent", "meaning"
+REACHABILITY = "method", "tracked", "reachable", "not_excluded", "of_reachable_percent", "short", "beyond"
 STEPS = (
-    Column("method", "method"),
-    Column("accepted", "accepted", "steps", ",d"),
-    Column("blocked", "blocked", "steps", ",d"),
-    Column("blocked_percent", "blocked", "%", ".2f"),
-    Column("not_checked", "not checked", "steps", ",d"),
-    Column("scenarios_blocked", "with a blocked step", "scenarios", ",d"),
-    Column("tracked_before", "tracked before it", "targets", ",d"),
-    Column("tracked_before_percent", "of all", "%", ".2f"),
-    Column("after_recovery", "after recovery", "targets", ",d"),
-    Column("step_median_rad", "median step", "rad", ".4f"),
-    Column("step_max_rad", "longest", "rad", ".3f"),
-)
+    "method", "accepted", "blocked", "blocked_percent", "not_checked", "scenarios_blocked", "tracked_before",
+    "tracked_before_percent", "after_recovery", "step_median_rad", "step_max_rad",
+)  # fmt: skip
 STOPS = (
-    Column("method", "method"),
-    Column("reason", "reason"),
-    Column("scenarios", "scenarios", "", ",d"),
-    Column("first_target", "first", "target", "d"),
-    Column("median_target", "median", "target", ".0f"),
-    Column("last_target", "last", "target", "d"),
-    Column("colliding_body", "colliding body (scenarios)"),
-    Column("targets", "at targets (scenarios)"),
-)
-MOTION_ENDS = (
-    Column("method", "method"),
-    Column("reason", "motion ends"),
-    Column("scenarios", "scenarios", "", ",d"),
-    Column("median_target", "median", "target", ".0f"),
-    Column("targets", "not executable", "targets", ",d"),
-)
-TIMES = (
-    Column("method", "method"),
-    Column("run_s", "planning", "s", ".2f"),
-    Column("compile_s", "compiling", "s", ".2f"),
-)
+    "method", "reason", "scenarios", "first_target", "median_target", "last_target",
+    *(columns.listed(key, "scenarios") for key in ("colliding_body", "targets")),
+)  # fmt: skip
+MOTION_ENDS = "method", "reason", "scenarios", "median_target", "targets"
+TIMES = "method", "run_s", "compile_s"
 
 
 def results(part: Part) -> Table:
     """Return the table of results by method: counts, percentages, time per step, errors and clearance."""
-    return without_empty(_table_of_rows("results", RESULTS, [_result(part, method) for method in part.plans]))
+    return Table.of("results", RESULTS, [_result(part, method) for method in part.plans]).without_empty()
 
 
 def pairs(part: Part) -> Table:
@@ -128,14 +66,14 @@ def pairs(part: Part) -> Table:
         equal = len(apart) - more - fewer
         rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
     rows.sort(key=lambda row: list(counts).index(row["method"]))
-    return _table_of_rows("pairs", PAIRS, rows)
+    return Table.of("pairs", PAIRS, rows)
 
 
 def paper(part: Part) -> Table:
     """Return the table of our results and the paper's by method; no rows if the part's grid is not the paper's."""
     table = part.paper_table
     if table is None:
-        return Table("paper", PAPER, ())
+        return Table.of("paper", PAPER, ())
     rows = [
         _result(part, method)
         | {
@@ -147,29 +85,20 @@ def paper(part: Part) -> Table:
         for method, theirs in table.rows.items()
         if method in part.plans
     ]
-    return _table_of_rows("paper", PAPER, rows)
+    return Table.of("paper", PAPER, rows)
 
 
 def _result(part: Part, method: str) -> dict:
-    plans = part.plans[method]
-    good, ends = plans.tracked, plans.outcomes
-    tracked, targets, executable = (int(column.sum()) for column in (ends.tracked, ends.targets, ends.executable))
-    return {
+    return result_row(method, summary.summarise(part.plans[method])) | {"step_ms": 1e3 * part.step_s[method]}
+
+
+def result_row(method: str, found: summary.Summary) -> dict:
+    """Return a method's row in the tables of results, by column key."""
+    return found._asdict() | {
         "method": method,
-        "success_percent": percent(tracked, targets),
-        "tracked": tracked,
-        "targets": targets,
-        "executable": executable,
-        "executable_percent": percent(executable, targets),
-        "complete": int(ends.complete.sum()),
-        "scenarios": int(ends.planned.sum()),
-        "step_ms": 1e3 * part.step_s[method],
-        "tcp_distance_mean_mm": _reduced_values(np.mean, 1e3 * plans.residual[good]),
-        "orientation_error_mean_deg": float(angle.mean())
-        if (angle := summary.orientation_errors_deg(plans)).size
-        else None,
-        "clearance_min_mm": _reduced_values(np.min, 1e3 * plans.clearance[good]),
-        "clearance_mean_mm": _reduced_values(np.mean, 1e3 * plans.clearance[good]),
+        "success_percent": percent(found.tracked, found.targets),
+        "executable_percent": percent(found.executable, found.targets),
+        "blocked": found.blocked_paths,
     }
 
 
@@ -190,24 +119,32 @@ def reachability_table(part: Part) -> Table:
                 "beyond": int((count > reachable).sum()),
             }
         )
-    return _table_of_rows("reachability", REACHABILITY, rows)
+    return Table.of("reachability", REACHABILITY, rows)
 
 
 def reach_table(part: Part) -> Table:
     """Return the table of the number of targets by reach; no rows if `htcp reachability --each` was not run."""
-    judged = np.empty(0, int) if part.reach is None else part.reach[part.reach != Reach.NOT_JUDGED]
-    counts = {reach: int((judged == reach).sum()) for reach in Reach}
-    rows = [
-        {"reach": reach.label, "targets": count, "percent": percent(count, judged.size), "meaning": reach.message}
-        for reach, count in counts.items()
-        if count
+    return Table.of("reach", REACH, () if part.reach is None else reach_rows(part.reach))
+
+
+def reach_rows(reach: Int[np.ndarray, "S T"]) -> list[dict]:
+    """Return the rows of a table of the number of targets by reach, by column key.
+
+    Args:
+        reach: Values of `Reach`; targets that are not classified do not count.
+    """
+    known = reach[reach != Reach.NOT_JUDGED]
+    counts = {each: int((known == each).sum()) for each in Reach}
+    return [
+        {"value": each, "reach": each.label, "targets": n, "percent": percent(n, known.size), "meaning": each.message}
+        for each, n in counts.items()
+        if n
     ]
-    return _table_of_rows("reach", REACH, rows)
 
 
 def steps(part: Part) -> Table:
     """Return the table of accepted joint steps by method: number, blocked joint paths, and lengths."""
-    return _table_of_rows("joint-steps", STEPS, [_step(part, method) for method in part.plans])
+    return Table.of("joint-steps", STEPS, [_step(part, method) for method in part.plans])
 
 
 def _step(part: Part, method: str) -> dict:
@@ -224,8 +161,8 @@ def _step(part: Part, method: str) -> dict:
         "tracked_before": before,
         "tracked_before_percent": percent(before, ends.targets.sum()),
         "after_recovery": int((plans.status == Status.TRACKED_AFTER_RECOVERY).sum()),
-        "step_median_rad": _reduced_values(np.median, plans.joint_step[good]),
-        "step_max_rad": _reduced_values(np.max, plans.joint_step[good]),
+        "step_median_rad": summary.reduced(np.median, plans.joint_step[good]),
+        "step_max_rad": summary.reduced(np.max, plans.joint_step[good]),
     }
 
 
@@ -249,7 +186,7 @@ def stop_table(part: Part) -> Table:
                     "targets": _tally(at),
                 }
             )
-    return without_empty(_table_of_rows("stops", STOPS, rows))
+    return Table.of("stops", STOPS, rows).without_empty()
 
 
 def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
@@ -290,18 +227,14 @@ def motion_ends(part: Part) -> Table:
             at = float(np.median(ends.executable[here]))
             counts = {"scenarios": int(here.sum()), "median_target": at, "targets": int(lost[here].sum())}
             rows.append({"method": method, "reason": segment_status.words, **counts})
-    return _table_of_rows("motion-ends", MOTION_ENDS, rows)
+    return Table.of("motion-ends", MOTION_ENDS, rows)
 
 
 def scenarios(part: Part) -> Table:
     """Return the table of all scenarios, a row per scenario and method: parameters, results, times, reachability."""
-    columns = [Column("scenario", "scenario", "", "d"), *(Column(name, name) for name in part.parameters)]
-    columns += [Column("method", "method"), Column("tracked", "tracked", "", "d"), Column("targets", "of", "", "d")]
-    columns += [Column("executable", "executable", "", "d")]
-    columns += [Column(name, name) for name in motion.MotionFigures._fields]
-    columns += [Column(name, name) for name in timing_file.COLUMNS if any(part.timing.values())]
-    columns += [Column("end", "end"), Column("motion_end", "motion ends"), Column("colliding_body", "colliding body")]
-    columns += [Column("reachable", "reachable", "", "d")]
+    keys = ["scenario", *part.parameters, "method", "tracked", "targets", "executable", *motion.MotionFigures._fields]
+    keys += [name for name in timing_file.COLUMNS if any(part.timing.values())]
+    keys += ["end", "motion_end", "colliding_body", "reachable"]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows, causes = [], {method: part.causes(method) for method in part.plans}
     for s, number in enumerate(part.numbers.tolist()):
@@ -321,13 +254,13 @@ def scenarios(part: Part) -> Table:
                 }
                 figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
                 rows.append({**times.get(method, {}).get(number, {}), **row, **figures, **what})
-    return _table_of_rows("scenarios", columns, rows)
+    return Table.of("scenarios", keys, rows)
 
 
 def times(part: Part) -> Table:
     """Return the table of planning times and compilation times by method, for the complete run."""
     seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
-    return _table_of_rows("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
+    return Table.of("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
 
 
 def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:
@@ -340,9 +273,9 @@ def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, Pla
     flat = {name: _flat(config.model_dump()) for name, config in {**ran, **presets}.items()}
     keys = dict.fromkeys(key for config in flat.values() for key in config)
     differ = [key for key in keys if len({repr(config.get(key)) for config in flat.values()}) > 1]
-    columns = [Column("key", "key"), *(Column(name, name, quiet=name in presets) for name in flat)]
+    of_runs = [Column(name, name, quiet=name in presets) for name in flat]
     rows = [{"key": key, **{name: _cell_text(config.get(key)) for name, config in flat.items()}} for key in differ]
-    return _table_of_rows("configuration", columns, rows)
+    return Table.of("configuration", ["key", *of_runs], rows)
 
 
 NO_REASON = plan_arrays.NO_TARGET, Status.NOT_ATTEMPTED
@@ -362,10 +295,6 @@ def _tally(values: Int[np.ndarray, "n"]) -> str:
 def percent(k: int | np.integer, n: int | np.integer) -> float:
     """Return 100 k / n; NaN if n is 0."""
     return float(100 * k / n) if n else math.nan
-
-
-def _reduced_values(reduce, values: np.ndarray) -> float:
-    return float(reduce(values)) if values.size else math.nan
 
 
 def _flat(raw: dict, prefix: str = "") -> dict:
@@ -389,17 +318,6 @@ def _cell_text(value: Any) -> str:
     if isinstance(value, dict):  # a body of the tool
         return " ".join(map(_cell_text, value.values()))
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _table_of_rows(name: str, columns: Sequence[Column], rows: Sequence[dict]) -> Table:
-    return Table(name, tuple(columns), tuple(tuple(row.get(column.key) for column in columns) for row in rows))
-
-
-def without_empty(table: Table) -> Table:
-    """Return the table without its columns in which all values are None."""
-    keep = [k for k in range(len(table.columns)) if any(row[k] is not None for row in table.rows)]
-    rows = tuple(tuple(row[k] for k in keep) for row in table.rows)
-    return table._replace(columns=tuple(table.columns[k] for k in keep), rows=rows)
 
 
 def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:

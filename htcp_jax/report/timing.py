@@ -1,7 +1,6 @@
 """Section of the report on the cycle times and feed rates of a part's motions, with charts."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from htcp_jax.report.charts.success import Axis
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.timing_table import MEANING, timing_row, timing_table
-from htcp_jax.runs import timing_file
+from htcp_jax.runs import columns, timing_file
 
 CYCLE = Measure(
     "Cycle time", "s", "{:.1f}", "From home along the path and back, in seconds; blank if no motion is complete."
@@ -26,7 +25,7 @@ def timing(part: Part) -> Table:
     return timing_table(rows)
 
 
-def timing_section(part: Part, made: Table, prefix: str, level: int, label: Callable[[str], str]) -> list[Block]:
+def timing_section(part: Part, made: Table, prefix: str, level: int) -> list[Block]:
     """Return the section on cycle times and feed: table, reasons of feed drops, and charts; empty without times.
 
     Args:
@@ -34,7 +33,6 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
         made: The part's table, see `timing`.
         prefix: Prefix of the pictures' names.
         level: Level of the heading.
-        label: Function that returns the label of a parameter.
     """
     if not made.rows:
         return []
@@ -43,7 +41,7 @@ def timing_section(part: Part, made: Table, prefix: str, level: int, label: Call
         f"Timed at {' and '.join(dict.fromkeys(part.timed_with.values()))}. {MEANING}",
         made,
         *_reason_sentences(part),
-        *_charts(part, prefix, label),
+        *_charts(part, prefix),
     ]
 
 
@@ -85,10 +83,10 @@ def feed_targets(part: Part) -> dict[str, np.ndarray]:
     }
 
 
-def _charts(part: Part, prefix: str, label: Callable[[str], str]) -> list[Picture]:
+def _charts(part: Part, prefix: str) -> list[Picture]:
     if not part.axes:
         return []
-    axes = {name: Axis(label(name), values.tolist()) for name, values in part.axes.items()}
+    axes = {name: Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
     return [
         _chart(part, axes, measure, values, f"{prefix}{name}")
         for measure, name, values in (

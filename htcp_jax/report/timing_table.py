@@ -1,29 +1,18 @@
 """Table of the cycle times and feed rates of motions, a row per method."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.report.document import Column, Table, unknown
-from htcp_jax.runs import timing_file
+from htcp_jax.report.document import Table
+from htcp_jax.runs import columns, summary, timing_file
 
 COLUMNS = (
-    Column("method", "method"),
-    Column("timed", "timed", "scenarios", ",d"),
-    Column("scenarios", "of", "", ",d"),
-    Column("cycle_min_s", "cycle time", "min s", ".2f"),
-    Column("cycle_median_s", "cycle time", "median s", ".2f"),
-    Column("cycle_max_s", "cycle time", "max s", ".2f"),
-    Column("held", "feed held", "scenarios", ",d"),
-    Column("held_min_percent", "feed held", "min %", ".2f"),
-    Column("reached_min_mm_s", "feed reached", "min mm/s", ".2f"),
-    Column("velocity_percent", "velocity", "max %", ".1f"),
-    Column("acceleration_percent", "acceleration", "max %", ".1f"),
-    Column("jerk_percent", "jerk", "max %", ".1f"),
-    Column("torque_percent", "torque", "max %", ".1f"),
-)
+    "method", "timed", columns.total("scenarios"), "cycle_min_s", "cycle_median_s", "cycle_max_s", "held",
+    "held_min_percent", "reached_min_mm_s", "velocity_percent", "acceleration_percent", "jerk_percent",
+    "torque_percent",
+)  # fmt: skip
 SHARES = *timing_file.LIMITS, "torque"
 MEANING = (
     "Cycle time: from home along the path and back, for the scenarios with a motion to their last target. Feed held: "
@@ -36,35 +25,29 @@ MEANING = (
 
 def timing_table(rows: Sequence[dict]) -> Table:
     """Return the table of cycle times and feed rates with the given rows, see `timing_row`, without empty columns."""
-    known = tuple(c for c in COLUMNS if not all(unknown(row[c.key]) for row in rows))
-    return Table("timing", known, tuple(tuple(row[c.key] for c in known) for row in rows))
+    return Table.of("timing", COLUMNS, rows).without_empty()
 
 
 def timing_row(method: str, rows: pa.Table) -> dict:
-    """Return a method's row in the table of cycle times and feed rates, by column key.
+    """Return a method's row in the table of cycle times and feed rates, by column key; unknown values are None.
 
     Args:
         method: The method.
         rows: Rows as in `timing_file`, one per scenario.
     """
     timed = rows.filter(pa.array(~np.isnan(timing_file.column(rows, "cycle_time_s"))))
-    cycle, held = timing_file.column(timed, "cycle_time_s"), timing_file.column(timed, "feed_held_share")
-    most = {name: 100 * _reduced_column(np.max, timed, f"{name}_share") for name in SHARES}
-    return {
+    names = "cycle_time_s", "feed_held_share", "feed_reached_m_s", *(f"{name}_share" for name in SHARES)
+    cycle, held, reached, *shares = (timing_file.column(timed, name) for name in names)
+    row = {
         "method": method,
         "timed": len(timed),
         "scenarios": len(rows),
-        "cycle_min_s": _reduced_column(np.min, timed, "cycle_time_s"),
-        "cycle_median_s": float(np.median(cycle)) if len(cycle) else math.nan,
-        "cycle_max_s": _reduced_column(np.max, timed, "cycle_time_s"),
+        "cycle_min_s": summary.reduced(np.min, cycle),
+        "cycle_median_s": summary.reduced(np.median, cycle),
+        "cycle_max_s": summary.reduced(np.max, cycle),
         "held": int((held >= timing_file.FEED_HELD_SHARE).sum()),
-        "held_min_percent": 100 * _reduced_column(np.min, timed, "feed_held_share"),
-        "reached_min_mm_s": 1e3 * _reduced_column(np.min, timed, "feed_reached_m_s"),
-        **{f"{name}_percent": value for name, value in most.items()},
+        "held_min_percent": 100 * summary.reduced(np.min, held),
+        "reached_min_mm_s": 1e3 * summary.reduced(np.min, reached),
     }
-
-
-def _reduced_column(reduce, rows: pa.Table, name: str) -> float:
-    values = timing_file.column(rows, name)
-    values = values[~np.isnan(values)]
-    return float(reduce(values)) if values.size else math.nan
+    row |= {f"{name}_percent": 100 * summary.reduced(np.max, each) for name, each in zip(SHARES, shares, strict=True)}
+    return {key: None if columns.unknown(value) else value for key, value in row.items()}

@@ -4,42 +4,21 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError
-from htcp_jax.report.document import Block, Column, Heading, Table
+from htcp_jax.report.document import Block, Heading, Table
 from htcp_jax.runs import Run, plan_folder
 from htcp_jax.system import files
 from htcp_jax.validation import STEP_RAD
 
 AT_TARGETS = (
-    Column("method", "method"),
-    Column("checked", "targets", "checked", ",d"),
-    Column("refuted", "refuted", "", ",d"),
-    Column("tcp_error_max_mm", "TCP error", "max mm", ".3f"),
-    Column("clearance_min_mm", "clearance", "min mm", ".3g"),
-    Column("clearance_min_at", "scenario:", "target"),
-    Column("clearance_less_cover_min_mm", "less cover", "min mm", ".3g"),
-    Column("clearance_off_max_mm", "differs from plan", "max mm", ".1e"),
-)
+    "method", "checked", "refuted", "tcp_error_max_mm", "clearance_min_mm", "clearance_min_at",
+    "clearance_less_cover_min_mm", "clearance_off_max_mm",
+)  # fmt: skip
 BETWEEN_TARGETS = (
-    Column("method", "method"),
-    Column("paths", "joint paths", "", ",d"),
-    Column("paths_touching", "collide", "", ",d"),
-    Column("paths_blocked", "blocked", "in the plan", ",d"),
-    Column("clearance_between_min_mm", "clearance", "min mm", ".3g"),
-    Column("clearance_between_min_at", "scenario:", "target"),
-    Column("line_deviation_max_mm", "path deviation", "max mm", ".2f"),
-    Column("speed_ratio_max", "joint speed", "of limit", ".3f"),
-    Column("speed_joint", "at"),
-    Column("in_place_max_rad", "in place", "max rad", ".2f"),
-)
-ROWS = (
-    Column("method", "method"),
-    Column("row", "row of the task"),
-    Column("off", "error", "max", ".4g"),
-    Column("most", "allowed", "", ".4g"),
-    Column("unit", "", ""),
-    Column("at", "scenario:", "target"),
-)
-BETWEEN = ("clearance_between_min_at",)
+    "method", "paths", "paths_touching", "paths_blocked", "clearance_between_min_mm", "clearance_between_min_at",
+    "line_deviation_max_mm", "speed_ratio_max", "speed_joint", "in_place_max_rad",
+)  # fmt: skip
+ROWS = "method", "row", "off", "most", "unit", "at"
+PLACES = "clearance_min_at", "clearance_between_min_at", "at"  # columns of a scenario and a target
 
 
 def read_validation(run: Run) -> dict[str, Any] | None:
@@ -115,17 +94,15 @@ def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:
     return (*tables, _filled_table("validation-rows", ROWS, held)) if held else tables
 
 
-def _filled_table(name: str, columns: tuple[Column, ...], rows: list[dict]) -> Table:
-    def cell(value: Any) -> Any:
-        return f"{value[0]}: {value[1]}" if isinstance(value, list | tuple) else value
-
-    filled = tuple(column for column in columns if any(row.get(column.key) is not None for row in rows))
-    return Table(name, filled, tuple(tuple(cell(row.get(column.key)) for column in filled) for row in rows))
+def _filled_table(name: str, keys: tuple[str, ...], rows: list[dict]) -> Table:
+    """Return the table without empty columns, with the columns in PLACES as text such as "3: 17"."""
+    texts = [{key: "{}: {}".format(*row[key]) for key in PLACES if row.get(key) is not None} for row in rows]
+    return Table.of(name, keys, [row | text for row, text in zip(rows, texts, strict=True)]).without_empty()
 
 
 def scenarios_named(found: dict[str, Any], labels: dict[int, str]) -> list[str]:
     """Return a sentence with the labels of the scenarios in a validation's tables."""
-    at = [check.get(key) for check in found["methods"].values() for key in ("clearance_min_at", *BETWEEN)]
+    at = [check.get(key) for check in found["methods"].values() for key in PLACES]
     numbers = sorted({place[0] for place in at if place is not None and labels.get(place[0])})
     return [f"Scenarios: {'; '.join(f'{number} is {labels[number]}' for number in numbers)}."] if numbers else []
 

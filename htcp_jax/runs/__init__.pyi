@@ -15,11 +15,13 @@ from . import (
     tables,
     timing_file,
 )
+from .columns import Column
 from .open import PlanSet, open_plans
 from .run_folder import Run, open_run
 from .running import RunningSummary
 
 __all__ = [
+    "Column",
     "PlanSet",
     "Run",
     "RunningSummary",

@@ -1,21 +1,124 @@
-"""Units and descriptions of the columns in a run's Parquet files; `described` adds them to the files' metadata.
+"""Columns of all tables by key: heading, unit, format and description of each.
 
-`TARGETS` describes the table of targets, with one row per method, scenario and target. `SCENARIOS` describes the table
-of scenarios (one row per method and scenario), `TIMING` the table of times (one row per scenario), and `MOUNTINGS` the
+A column has the same heading, unit and format wherever it is shown: on the terminal, in the report and on the gate's
+page. Its key consists of a quantity, a statistic and a unit: `clearance_min_mm` has the heading "clearance", with
+"min mm" below. HEADINGS, COUNTED, UNIT_LINES and FORMATS contain what does not follow from the key. `of` selects
+columns by key. `total`, `before_and_now` and `listed` return a column in the form that some tables need.
+
+The columns of a run's Parquet files have descriptions, which `described` adds to the files' metadata. `TARGETS`
+describes the table of targets, with one row per method, scenario and target. `SCENARIOS` describes the table of
+scenarios (one row per method and scenario), `TIMING` the table of times (one row per scenario), and `MOUNTINGS` the
 table of a placement search (one row per mounting). Columns of joints, coordinates and varied keys have general
-descriptions. A column's name ends in its unit: clearance_m is in metres.
+descriptions.
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from htcp_jax.runs import parameters
 
 WRITTEN_BY = b"htcp_jax"  # key of a file's metadata; its value is JSON with run, commit and versions
+NOTHING, COUNT = "-", ",d"  # text of an unknown value; format of counts
+FILE_UNITS = {  # in Parquet files, by the end of a column's name; longer ends come first
+    "_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad", "_rad": "rad", "_m": "m", "_s": "s",
+    "_share": "1",
+}  # fmt: skip
+UNITS = {"_mm_s": "mm/s", **FILE_UNITS, "_deg": "deg", "_mm": "mm", "_ms": "ms", "_percent": "%"}
+STATISTICS = "min", "mean", "median", "max"
+HEADINGS = {  # of quantities, or of single columns
+    "at": "scenario:",
+    "begin_mm": "from",
+    "better": "further",
+    "beyond": "exceed it",
+    "clearance_between": "clearance",
+    "clearance_between_min_at": "scenario:",
+    "clearance_less_cover": "less cover",
+    "clearance_min_at": "scenario:",
+    "clearance_off": "differs from plan",
+    "command": "run by",
+    "compile": "compiling",
+    "complete_motions": "complete",
+    "cost_common": "cost, common",
+    "cycle": "cycle time",
+    "dwelling": "with dwells",
+    "end_mm": "to",
+    "feed": "lowest feed",
+    "first_target": "first",
+    "held": "feed held",
+    "last_target": "last",
+    "line_deviation": "path deviation",
+    "median_target": "median",
+    "most": "allowed",
+    "motion_end": "motion ends",
+    "off": "error",
+    "other": "compared with",
+    "p": "sign test",
+    "path_step": "joint step",
+    "paths": "joint paths",
+    "paths_blocked": "blocked",
+    "paths_touching": "collide",
+    "percent": "of all",
+    "reached": "feed reached",
+    "robot.model": "robot",
+    "row": "row of the task",
+    "run_s": "planning",
+    "scenarios_blocked": "with a blocked step",
+    "shapes": "about",
+    "share": "of reachable",
+    "short": "fall short",
+    "speed_joint": "at",
+    "speed_ratio": "joint speed",
+    "step": "joint step",
+    "step_ms": "time/target",
+    "tcp_distance": "TCP distance",
+    "tcp_error": "TCP error",
+    "title": "name",
+    "tracked_before": "tracked before it",
+    "tracked_before_percent": "of all",
+    "unit": "",
+    "volume_ratio": "volume",
+    "was": "before",
+    "workpiece.cloud": "cloud",
+    "worse": "earlier",
+}
+COUNTED = {  # columns of counts, by what they count
+    "targets": ("tracked", "executable", "reachable", "not_excluded", "checked", "tracked_before", "after_recovery",
+                "dwells"),
+    "scenarios": ("complete", "more", "fewer", "equal", "short", "beyond", "scenarios_blocked", "dwelling", "timed",
+                  "held", "worse", "better"),
+    "steps": ("accepted", "blocked", "not_checked"),
+    "motions": ("complete_motions",),
+    "in the plan": ("paths_blocked",),
+    "": ("targets", "scenarios", "refuted", "paths", "paths_touching", "was", "now"),
+}  # fmt: skip
+UNIT_LINES = {key: noun for noun, keys in COUNTED.items() for key in keys} | {
+    **dict.fromkeys(("velocity_percent", "acceleration_percent", "jerk_percent", "torque_percent"), "max %"),
+    **dict.fromkeys(("at", "clearance_min_at", "clearance_between_min_at"), "target"),
+    **dict.fromkeys(("first_target", "median_target", "last_target"), "target"),
+    **dict.fromkeys(("percent", "share"), "%"),
+    "cost_common_rad2": "mean rad2",
+    "off": "max",
+    "p": "p",
+    "speed_ratio_max": "of limit",
+    "volume_ratio": "x hull",
+}
+FORMATS = {  # by unit, or of single columns; columns without a format contain text, which is aligned left
+    **{"%": ".2f", "ms": ".2f", "s": ".2f", "mm/s": ".2f", "mm": ".3g", "deg": ".3g", "rad": ".3g", "rad2": ".3g"},
+    **{"rad/m2": ",.0f", "m/rad": ".3f"},
+    **dict.fromkeys((key for keys in COUNTED.values() for key in keys), COUNT),
+    **dict.fromkeys(("scenario", "target", "waypoint", "first_target", "last_target", "rank", "own", "fitted"), "d"),
+    **dict.fromkeys(("begin_mm", "end_mm", "volume_ratio", "percent", "share"), ".2f"),
+    **dict.fromkeys(("cycle_mean_s", "speed_ratio_max"), ".3f"),
+    **dict.fromkeys(("off", "most"), ".4g"),
+    "difference": "+,d",
+    "median_target": ".0f",
+    "p": ".2g",
+}
 
 BOTH = {
     "method": "planning method",
@@ -114,10 +217,77 @@ MOUNTINGS = MappingProxyType(
     }
 )
 TABLES = MappingProxyType({"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS})
-UNITS = MappingProxyType(  # by the end of a column's name; longer ends come first
-    {"_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad"}
-    | {"_rad": "rad", "_m": "m", "_s": "s", "_share": "1"}
-)
+
+
+class Column(NamedTuple):
+    """Column of a table."""
+
+    key: str  # name in CSV and JSON, including the unit
+    heading: str
+    unit: str = ""  # line below the heading: statistic and unit, or what is counted
+    format: str = ""  # format of numbers; empty for a column of text, which is aligned left
+    quiet: bool = False  # True for reference values, displayed in grey
+
+    @property
+    def title(self) -> str:
+        """Heading with the unit, such as "clearance [min mm]"."""
+        return f"{self.heading} [{self.unit}]" if self.unit else self.heading
+
+    def text(self, value: Any) -> str:
+        """Return a cell's value as text; a dash if it is unknown."""
+        if unknown(value):
+            return NOTHING
+        return str(value) if isinstance(value, str) else format(value, self.format)
+
+
+def unknown(value: Any) -> bool:
+    """Return True if a cell's value is None or NaN."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def column(key: str) -> Column:
+    """Return the column with this key. A key with the prefix `paper_` is the paper's value of the column before it."""
+    stem, unit = split_unit(key)
+    quantity, _, statistic = stem.rpartition("_")
+    if statistic not in STATISTICS:
+        quantity, statistic = stem, ""
+    of_paper = key.startswith("paper_")
+    heading = "paper" if of_paper else HEADINGS.get(key, HEADINGS.get(quantity, quantity.replace("_", " ")))
+    below = UNIT_LINES.get(key, f"{statistic} {unit}".strip())
+    return Column(key, heading, below, FORMATS.get(key, FORMATS.get(unit, "")), of_paper)
+
+
+def of(*keys: str | Column) -> tuple[Column, ...]:
+    """Return the columns with these keys; a `Column` stands for itself."""
+    return tuple(column(key) if isinstance(key, str) else key for key in keys)
+
+
+def total(key: str) -> Column:
+    """Return the column of a total, with the heading "of": it stands next to the column of which it is the total."""
+    return column(key)._replace(heading="of", unit="")
+
+
+def listed(key: str, noun: str) -> Column:
+    """Return the column of a text that lists several values of a column, each with its number of `noun` in brackets."""
+    return column(key)._replace(unit=f"({noun})", format="")
+
+
+def before_and_now(*keys: str) -> tuple[Column, ...]:
+    """Return two columns for each key of a comparison: the former value, whose key has the prefix `was_`, and the new.
+
+    Both have the heading of the key's column.
+    """
+    pairs = []
+    for now in of(*keys):
+        unit = "" if now.format == COUNT else f" {now.unit}"
+        pairs += [now._replace(key=f"was_{now.key}", unit=f"before{unit}"), now._replace(unit=f"now{unit}")]
+    return tuple(pairs)
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return the stem and the unit of a column's name; the unit is "" if the name has none."""
+    found = ((name.removesuffix(end), unit) for end, unit in UNITS.items() if name.endswith(end))
+    return next(found, (name, ""))
 
 
 def described(rows: pa.Table, table: str, joints: Sequence[str], made: Mapping[str, Any]) -> pa.Table:
@@ -145,7 +315,7 @@ def unit_of(column: str, joints: Sequence[str]) -> str:
     """
     if column == "via_points":
         return ", ".join(dict.fromkeys(unit_of(name, joints) for name in joints))
-    return next((unit for end, unit in UNITS.items() if column.endswith(end)), "")
+    return next((unit for end, unit in FILE_UNITS.items() if column.endswith(end)), "")
 
 
 def description_of(column: str, table: str, joints: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Labels that describe a run's scenarios by their parameters: `rotation y 0.2 rad, height -0.1 m, tool 0.05 m`.
+"""Labels that describe a run's scenarios by their parameters: `rotation y 0.2 rad, shift z -0.1 m`.
 
 The parameters are the columns of the scenario table that are not in RESULTS. A label contains those that vary.
 """
@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax.motion import motion
+from htcp_jax.runs import columns
 from htcp_jax.runs.timing_file import COLUMNS
 
 RESULTS = (
@@ -18,27 +19,15 @@ RESULTS = (
     *motion.MotionFigures._fields, *COLUMNS, "joint_step_max_rad", "joint_step_target", "joint_step_joint",
     "colliding_body", "colliding_with", "cause",
 )  # fmt: skip
-SHORT = {
-    "rotation_x": "rotation x",
-    "rotation_y": "rotation y",
-    "rotation_z": "rotation z",
-    "shift_x": "x",
-    "shift_y": "y",
-    "shift_z": "height",
-    "tool_extension": "tool",
-    "robot.model": "robot",
-    "workpiece.cloud": "cloud",
-}
-UNITS = {"rad": "rad", "m": "m", "mm": "mm", "deg": "deg"}
 
 
 def labels_of(table: pa.Table) -> dict[int, str]:
     """Return the label of every scenario in a scenario table, by number; "" if neither group nor parameter varies."""
     numbers, first = np.unique(table["scenario"].to_numpy(), return_index=True)
     table = table.take(pa.array(first))
-    columns = varying({name: column_of(table[name]) for name in parameter_names(table)})
+    parameters = varying({name: column_of(table[name]) for name in parameter_names(table)})
     groups = [f"{group}: " if group else "" for group in table["group"].to_pylist()]
-    reported = [", ".join(part(name, values[k]) for name, values in columns.items()) for k in range(len(numbers))]
+    reported = [", ".join(part(name, values[k]) for name, values in parameters.items()) for k in range(len(numbers))]
     return {int(number): group + text for number, group, text in zip(numbers, groups, reported, strict=True)}
 
 
@@ -68,15 +57,9 @@ def varying(parameters: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def part(name: str, value: Any) -> str:
     """Return the text of one parameter with its value and unit, such as `rotation y 0.2 rad`."""
-    stem, unit = split_unit(name)
+    column = columns.column(name)
     text = f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
-    return " ".join(filter(None, (SHORT.get(stem, stem.removeprefix("start_").replace("_", " ")), text, unit)))
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Return the stem and the unit of a column's name; the unit is "" if the name has none."""
-    stem, _, unit = name.rpartition("_")
-    return (stem, UNITS[unit]) if stem and unit in UNITS else (name, "")
+    return f"{column.heading} {text} {column.unit}".rstrip()
 
 
 def column_of(column: pa.ChunkedArray) -> np.ndarray:

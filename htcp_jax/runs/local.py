@@ -1,6 +1,7 @@
 """Planning of a sweep's shards in this process, one after the other."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from jaxtyping import Int
 from htcp_jax.device import tables
 from htcp_jax.jobs import grid
 from htcp_jax.model import Scenario
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
@@ -32,30 +33,23 @@ class PlannedShard(NamedTuple):
 
 
 def plan_here(
-    batch: grid.Batch,
-    threads: int | None,
-    device: str | None,
-    targets_in_all: int | None,
-    shards: Sequence[Shard],
-    report: Callable,
+    batch: grid.Batch, execution: Execution, shards: Sequence[Shard], report: Callable
 ) -> Iterator[PlannedShard]:
     """Plan shards one by one, and yield the plans of each.
 
     Args:
         batch: The scenarios of the sweep.
-        threads: See `batch.plan`.
-        device: See `batch.plan`.
-        targets_in_all: Number of targets of all shards; None: of the given shards.
+        execution: Devices, threads and processes. If `targets_in_all` is None, it is that of the given shards.
         shards: The shards to plan.
         report: Function that is called while a shard is planned, with the method and the shard's `batch.Progress`. An
             exception that it raises ends the planning.
     """
     by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in shards))
-    targets_in_all = targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
+    targets = execution.targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
+    execution = replace(execution, targets_in_all=targets, warm_up=methods)
     for shard in shards:
-        block = scenarios_of(batch, shard.span)
-        plans = plan_cells(batch.cells, *block, shard.method, threads, report, device, targets_in_all, methods)
-        methods = ()  # all are compiled
+        plans = plan_cells(batch.cells, *scenarios_of(batch, shard.span), shard.method, execution, report)
+        execution = replace(execution, warm_up=())  # all are compiled
         yield PlannedShard(shard, plans, by)
 
 
@@ -70,11 +64,8 @@ def plan_cells(
     cell: Int[np.ndarray, "S"],
     scenarios: Scenario,
     method: str,
-    threads: int | None,
+    execution: Execution,
     report: Callable | None = None,
-    device: str | None = None,
-    targets_in_all: int | None = None,
-    compiled_first: Sequence[str] = (),
 ) -> Plans:
     """Plan stacked scenarios, with one planner call per group of scenarios that share their inputs.
 
@@ -83,35 +74,23 @@ def plan_cells(
         cell: Index of each scenario's inputs in `cells`.
         scenarios: The stacked scenarios.
         method: Name of the method.
-        threads: See `batch.plan`.
+        execution: Devices, threads and processes. Only before the first group, executables are warmed up.
         report: See `plan_here`; None: no reports.
-        device: See `batch.plan`.
-        targets_in_all: See `batch.plan`.
-        compiled_first: See `batch.plan`; for the first group.
     """
     parts: list[tuple[np.ndarray, Plans]] = []
     everything = len(cell), int(scenarios.count.sum())
     for number in dict.fromkeys(cell.tolist()):
         rows = np.flatnonzero(cell == number)
         whole = len(rows) == len(cell)
-        robot, workpiece, settings, task, obstacles = cells[number]
-        plans = batch.plan(
-            robot,
-            workpiece,
-            scenarios if whole else tables.gather(scenarios, rows),
-            method,
-            settings,
-            progress=report and partial(_add_up, report, method, [done for _, done in parts], *everything),
-            threads=threads,
-            device=device,
-            targets_in_all=targets_in_all,
-            task=task,
-            obstacles=obstacles,
-            compiled_first=() if parts else compiled_first,
-        )
+        robot, workpiece, *others = cells[number]
+        own = scenarios if whole else tables.gather(scenarios, rows)
+        problem = Problem.of(robot, workpiece, own, *others, execution)
+        progress = report and partial(_add_up, report, method, [done for _, done in parts], *everything)
+        plans = batch.plan(problem, method, progress)
         if whole:
             return plans
         parts.append((rows, plans))
+        execution = replace(execution, warm_up=())
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     return Plans.concatenate([plans for _, plans in parts]).rows(order)
 

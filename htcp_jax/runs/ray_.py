@@ -22,7 +22,7 @@ from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.jobs import grid
 from htcp_jax.model import Scenario
-from htcp_jax.motion import Plans
+from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import registry
 from htcp_jax.runs.local import PlannedShard, Shard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
@@ -210,7 +210,7 @@ def _plan_shard(
     """Plan one shard on a worker, and return the plans with their provenance."""
     cache_folder.enable()
     cells = [each._replace(robot=jax.tree.map(jnp.asarray, each.robot)) for each in cells]
-    return plan_cells(cells, cell, scenarios, method, max(1, int(share.num_cpus))), planned_by()
+    return plan_cells(cells, cell, scenarios, method, Execution(threads=max(1, int(share.num_cpus)))), planned_by()
 
 
 def _environment(share: configs.RayConfig) -> dict[str, str]:

@@ -131,9 +131,8 @@ class Run:
         try:
             groups = tuple(grid_axes.from_record(group, joints) for group in grid)
             stated = frozenset(key for group in grid for key in group.get("stated", ()))
-            return tuple(
-                islice(grid_points.points_of(str(self.folder / MANIFEST), config, groups, stated), self.manifest.count)
-            )
+            points = grid_points.points_of(str(self.folder / MANIFEST), config, groups, stated, len(joints))
+            return tuple(islice(points, self.manifest.count))
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:

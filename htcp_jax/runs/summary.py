@@ -1,6 +1,7 @@
 """Summary of plans: the values of the paper's tables, and the counts from which they are computed."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -58,16 +59,16 @@ def summarise(plans: Plans) -> Summary:
         executable=int(ends.executable.sum()),
         after_recovery=int((plans.status == Status.TRACKED_AFTER_RECOVERY).sum()),
         blocked_paths=int(ends.blocked_paths.sum()),
-        success_rate=_reduced_or_nan(np.mean, tracked[plans.exists]),
+        success_rate=reduced(np.mean, tracked[plans.exists]),
         step_ms=1e3 * plans.step_s,
         compile_s=float(plans.compile_s),
         run_s=float(plans.run_s),
-        tcp_distance_mean_mm=_reduced_or_nan(np.mean, residual_mm),
-        tcp_distance_max_mm=_reduced_or_nan(np.max, residual_mm),
+        tcp_distance_mean_mm=reduced(np.mean, residual_mm),
+        tcp_distance_max_mm=reduced(np.max, residual_mm),
         orientation_error_mean_deg=float(angle_deg.mean()) if angle_deg.size else None,
         orientation_error_max_deg=float(angle_deg.max()) if angle_deg.size else None,
-        clearance_min_mm=_reduced_or_nan(np.min, clearance_mm),
-        clearance_mean_mm=_reduced_or_nan(np.mean, clearance_mm),
+        clearance_min_mm=reduced(np.min, clearance_mm),
+        clearance_mean_mm=reduced(np.mean, clearance_mm),
         joint_motion_rad=float(plans.joint_step[tracked].sum()),
         failures=_failures(ends),
     )
@@ -84,5 +85,15 @@ def _failures(ends: plan_arrays.Outcomes) -> tuple[Failure, ...]:
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
 
 
-def _reduced_or_nan(reduce, values: np.ndarray) -> float:
-    return float(reduce(values)) if values.size else np.nan
+def reduced(reduce: Callable[..., Any], values: Float[np.ndarray, "n"]) -> float:
+    """Apply a function to the values that are not NaN; return NaN if there are none.
+
+    Args:
+        reduce: Function of an array, such as `numpy.max`.
+        values: The values.
+
+    Returns:
+        The result, in the unit of the values.
+    """
+    known = values[~np.isnan(values)]
+    return float(reduce(known)) if known.size else np.nan

@@ -25,9 +25,9 @@ from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import grid as grids
 from htcp_jax.jobs import grid_axes, seeded
-from htcp_jax.model import task_row_kind
-from htcp_jax.motion import Plans, manipulability, start_cause
+from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
+from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
@@ -38,7 +38,7 @@ from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
-from htcp_jax.spec import obstacle_kind
+from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import SignalReceived, locked, output_files, signals, stop_message, temporary_folder
 
 SHARD_SCENARIOS = 512  # default size of a shard, equal on every machine; smaller shards leave lanes unused
@@ -83,12 +83,12 @@ def sweep(
         seed: Value of `settings.seed`; None: the configuration's.
         progress: Function that is called with the `SweepProgress` of a method while it advances.
         finished: Function that is called with each shard after it has been written.
-        threads: Number of engines per process, see `batch.plan`.
+        threads: Number of engines per process, see `Execution`.
         shard_scenarios: Number of scenarios per shard; None: SHARD_SCENARIOS. A folder with results keeps its number.
         on: "here" plans on this machine, in several processes if that is faster. "ray" or `"ray:<address>"` sends
             the shards to the workers of a Ray cluster, see `ray_`.
         device: Device to plan on, such as "cpu"; None: a GPU if there is one. With Ray it must be None or "cpu".
-        targets_in_all: See `batch.plan`; None: the number of targets of the shards to plan.
+        targets_in_all: See `Execution`; None: the number of targets of the shards to plan.
 
     Raises:
         InputError: If the input is invalid, or if the folder contains another sweep, is in use or cannot be written.
@@ -107,7 +107,8 @@ def sweep(
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         batch = spec.batch(limit)
         requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
-        planned = _planner(on, chosen, batch, spec, threads, device, targets_in_all)
+        execution = Execution(device, threads, targets_in_all=targets_in_all)
+        planned = _planner(on, chosen, batch, spec, execution)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
             run = writer.begin(folder, requested, keep)
 
@@ -195,14 +196,14 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
         InputError: If the list is empty, or if a method is unknown, cannot be imported, or is repeated.
     """
     if methods == "all":
-        return tuple(registry.METHODS.all())
+        return tuple(registry.descriptions())
     names = [name.strip() for name in methods.split(",")] if isinstance(methods, str) else list(methods)
     if not any(names):
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
     for name in names:
         if name not in registry.names():
             raise InputError(f"unknown method {name!r}; valid: all, {', '.join(registry.names())}")
-        registry.find(name)
+        planning_methods.find(name)
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"method {name} is given twice")
@@ -239,11 +240,10 @@ def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cau
     (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
         own, rows = batch.cells[number], np.flatnonzero(cell == number)
-        known = own.settings, own.task, own.obstacles
-        some = start_cause.start_causes(
-            own.robot, own.workpiece, device_tables.gather(scenarios, rows), status[rows], *known, rounds=1
-        )
-        found |= {int(rows[s]): cause for s, cause in some.items()}
+        some, execution = device_tables.gather(scenarios, rows), Execution(threads=1)
+        problem = Problem(own.robot, own.workpiece, some, own.settings, own.task, own.obstacles, execution)
+        causes = start_cause.start_causes(problem, status[rows], rounds=1)
+        found |= {int(rows[s]): cause for s, cause in causes.items()}
     return found
 
 
@@ -285,27 +285,19 @@ def _manifest(
 def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
     kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
-    rows = code_of(task_row_kind.TASK_ROWS, (row.name for row in spec.config.task))
+    rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
-def _planner(
-    on: str,
-    methods: tuple[str, ...],
-    batch: grids.Batch,
-    spec: grids.Sweep,
-    threads: int | None,
-    device: str | None,
-    targets_in_all: int | None,
-):
+def _planner(on: str, methods: tuple[str, ...], batch: grids.Batch, spec: grids.Sweep, execution: Execution):
     """Return a context manager that yields plan(shards, report), which yields a `PlannedShard` for each shard."""
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, threads, device, targets_in_all))
+        return contextlib.nullcontext(partial(plan_here, batch, execution))
     from htcp_jax.runs.ray_ import on_ray  # here, as Ray is an optional dependency
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
-    task_row_kind.TASK_ROWS.refuse_own(row.name for row in spec.config.task)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
     return on_ray(batch, spec.config, on.partition(":")[2])
 
 

@@ -7,8 +7,9 @@ jobs that ship with the package. `choices` has choices and defaults that readers
 `strict_model` read YAML and refuse what a model does not have. `ModelSource` names the models that form a robot, `Tool`
 is a mounted tool, and `feed` parses feed rates.
 
-`Registry` finds extensions of other packages by name; `ObstacleKind` is the base class of their obstacles. `kinds`
-splits their instances into numbers and templates; `given_kinds` reads them from a job.
+`PointRow`, `AxisRow` and `OrientationRow` are the rows of a task (`task_list`); `TaskRowKind` is their base class, and
+that of rows of other packages. `ObstacleKind` is the base class of other packages' obstacles. `Registry` finds both by
+name, `kinds` splits their instances into numbers and templates, and `given_kinds` reads them from a job.
 """
 
 import lazy_loader

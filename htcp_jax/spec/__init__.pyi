@@ -8,6 +8,7 @@ from . import (
     obstacle_kind,
     strict_model,
     strict_yaml,
+    task_list,
     tool,
 )
 from .choices import (
@@ -22,16 +23,21 @@ from .choices import (
     Maker,
     is_limits_file,
 )
-from .config import AUTO, DEPENDENT, SOURCES, CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
+from .config import AUTO, CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
 from .config_file import BUILT_IN_ARM, FILES, NO_CLOUD, layers, layers_of, merged, parse_override, put_key
+from .defaults import DEPENDENT, SOURCES, is_other_arm, keys_of, value_at
 from .examples import example_or_path, read_mapping
 from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of, with_arrays
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
 from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
+from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
+from .task_row_kind import AIM_M, AIM_RAD, ON_PATH, TaskRowKind
 from .tool import Tool
 
 __all__ = [
+    "AIM_M",
+    "AIM_RAD",
     "AUTO",
     "BUILT_IN_ARM",
     "CHOSEN_ANGLES",
@@ -43,11 +49,16 @@ __all__ = [
     "NAME",
     "NEUTRAL_TRANSLATION",
     "NO_CLOUD",
+    "ON_PATH",
     "PIVOT",
     "ROBOT",
     "SEAMS",
     "SOURCES",
+    "TASK_ROWS",
+    "TCP_ON_PATH",
     "WORLD",
+    "AxisRow",
+    "BuiltInRow",
     "CellConfig",
     "CloudConfig",
     "ComposedModel",
@@ -56,11 +67,14 @@ __all__ = [
     "Maker",
     "ModelSource",
     "ObstacleKind",
+    "OrientationRow",
     "PlacedModel",
     "PlanConfig",
+    "PointRow",
     "Registry",
     "RobotConfig",
     "Slot",
+    "TaskRowKind",
     "Template",
     "Tool",
     "WorkpieceConfig",
@@ -71,6 +85,8 @@ __all__ = [
     "feed",
     "given_kinds",
     "is_limits_file",
+    "is_other_arm",
+    "keys_of",
     "kind_fault",
     "label_of",
     "layers",
@@ -80,12 +96,15 @@ __all__ = [
     "numbers_of",
     "obstacle_kind",
     "parse_override",
+    "path_row",
     "put_key",
     "read_mapping",
     "split_name",
     "strict_model",
     "strict_yaml",
+    "task_list",
     "template_of",
     "tool",
+    "value_at",
     "with_arrays",
 ]

@@ -1,7 +1,7 @@
 """Schema of a job file: the sections, their keys, and the default job.
 
-`load_config` makes a PlanConfig. Some defaults below are for the built-in arm (GP50) and the generated duct; the module
-`defaults` replaces them for another robot or another part.
+`load_config` makes a PlanConfig. Some defaults below are for the built-in arm (GP50) and the generated duct; those of
+the module `defaults` replace them for another robot or another part.
 """
 
 import math
@@ -15,16 +15,14 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    WrapSerializer,
     WrapValidator,
     field_validator,
     model_validator,
 )
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
-from htcp_jax.spec import model_source, obstacle_kind, strict_model
+from htcp_jax.spec import model_source, obstacle_kind, strict_model, task_list
 from htcp_jax.spec.choices import (
     CHOSEN_ANGLES,
     GP50,
@@ -36,10 +34,14 @@ from htcp_jax.spec.choices import (
     Maker,
     is_limits_file,
 )
-from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD
+from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD, merged
+from htcp_jax.spec.defaults import own_defaults
 from htcp_jax.spec.feed import feed_of
-from htcp_jax.spec.given_kinds import given_kind_of, needs_kind, record_of
+from htcp_jax.spec.given_kinds import built_in_row, kind_of, needs_kind, record_of
+from htcp_jax.spec.model_source import WORLD
 from htcp_jax.spec.registry import NAME
+from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
+from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.spec.tool import Tool
 
 FARTHEST = 1e9  # maximum coordinate in a file [m]
@@ -54,7 +56,6 @@ FASTEST = 1e9  # maximum joint rate, and maximum encoder count per unit
 JointRates = tuple[Annotated[float, Field(gt=0, le=FASTEST)], ...]  # one limit per joint, for both directions
 Moment = Annotated[float, Field(gt=0, le=100)]  # [s]
 AUTO = "auto"  # value of start_rad: the planner chooses the start
-WORLD = "world"  # parent of models and fixtures that are fixed in the world
 
 
 def _start(value: Any, numbers: Callable[[Any], tuple[float, ...]]) -> Any:
@@ -120,15 +121,18 @@ LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked
 CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a `TaskRow`.
+# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
 Row = Annotated[
-    TaskRow, WrapValidator(given_kind_of(task_row_kind.TASK_ROWS, task_row_kind.TaskRowKind)), WrapSerializer(record_of)
+    PointRow | AxisRow | OrientationRow,
+    PlainValidator(built_in_row),
+    WrapValidator(kind_of(task_list.TASK_ROWS, TaskRowKind)),
+    PlainSerializer(record_of),
 ]
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
-    WrapValidator(given_kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
-    WrapSerializer(record_of),
+    WrapValidator(kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    PlainSerializer(record_of),
 ]
 
 
@@ -145,19 +149,6 @@ def _limits_source(value: str) -> str:
 
 
 JointLimitsSource = Annotated[str, AfterValidator(_limits_source)]
-
-SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of the keys in DEPENDENT
-DEPENDENT = (
-    "robot.limits",
-    "settings.q_weights",
-    "workpiece.rotation_y_rad",
-    "workpiece.rotation_z_rad",
-    "workpiece.neutral_translation_m",
-    "workpiece.pivot_m",
-    "workpiece.inlet_direction",
-    "workpiece.tip_contact_m",
-    "cell.self_collision",
-)
 
 
 class RobotConfig(strict_model.FileSection):
@@ -396,6 +387,16 @@ class PlanConfig(strict_model.FileSection):
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
     ray: RayConfig = RayConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_defaults(cls, raw: Any) -> Any:
+        return merged((own_defaults(raw), raw)) if isinstance(raw, dict) else raw
+
+    @property
+    def has_own_arm(self) -> bool:
+        """False if the robot is the GP50 without a positioner, rail or tool model."""
+        return self.tree is not None or not self.robot.is_gp50
 
     @property
     def tree(self) -> model_source.ComposedModel | None:

@@ -1,4 +1,4 @@
-"""Reading and writing of obstacles and task rows whose kinds are from other packages: {kind: NAME, KEY: VALUE, ...}."""
+"""Reading and writing of obstacles and task rows: {kind: NAME, KEY: VALUE, ...}; built-in task rows have no kind."""
 
 import dataclasses
 import math
@@ -9,23 +9,34 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from htcp_jax.errors import InputError, described
-from htcp_jax.spec import obstacle_kind, strict_model
+from htcp_jax.spec import obstacle_kind, strict_model, task_list
 from htcp_jax.spec.kinds import ExtensionKind
 from htcp_jax.spec.registry import Registry
 
 
-def given_kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
+def kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
     """Return a pydantic validator for an entry that names a kind in `registry`, or is an instance of `base`.
 
-    Any other entry is validated by the built-in validator.
+    Any other entry is validated by the next validator.
     """
 
-    def read(value: Any, built_in: Callable) -> Any:
+    def read(value: Any, other: Callable) -> Any:
         if isinstance(value, dict) and strict_model.KIND in value:
             return _made(registry.find(str(value[strict_model.KIND])), value)
-        return _checked_kind(value) if _is_given(value) and isinstance(value, base) else built_in(value)
+        return _checked_kind(value) if isinstance(value, base) else other(value)
 
     return read
+
+
+def built_in_row(value: Any) -> task_list.BuiltInRow:
+    """Return the task row of an entry without the key kind.
+
+    Raises:
+        InputError: See `task_list.built_in_row`.
+        ValidationError: For an invalid value.
+    """
+    row, keys = task_list.built_in_row(value) if isinstance(value, dict) else (task_list.PointRow, value)
+    return _adapter(row).validate_python(keys)
 
 
 def needs_kind(value: Any) -> Any:
@@ -36,18 +47,14 @@ def needs_kind(value: Any) -> Any:
     return value
 
 
-def record_of(value: Any, built_in: Callable) -> Any:
+def record_of(value: ExtensionKind) -> dict[str, Any]:
     """Return an instance of a kind as a plain mapping for JSON and YAML."""
-    if not _is_given(value):
-        return built_in(value)
-    return {
-        strict_model.KIND: value.name,
-        **{field.name: getattr(value, field.name) for field in dataclasses.fields(value)},
-    }
+    first = task_list.RECORD if isinstance(value, task_list.BuiltInRow) else {strict_model.KIND: value.name}
+    return {**first, **_values(value)}
 
 
-def _is_given(value: Any) -> bool:
-    return isinstance(value, ExtensionKind) and value.name != "built-in"
+def _values(value: ExtensionKind) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
 
 
 def _made(kind: type[ExtensionKind], raw: dict) -> ExtensionKind:
@@ -62,15 +69,14 @@ def _made(kind: type[ExtensionKind], raw: dict) -> ExtensionKind:
 
 def _checked_kind(value: ExtensionKind) -> ExtensionKind:
     """Return an instance made in Python, with its values validated and converted to the types of its fields."""
-    return _made(type(value), {field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+    return _made(type(value), _values(value))
 
 
 def _finite_kind(value: ExtensionKind) -> ExtensionKind:
-    for field in dataclasses.fields(value):
-        numbers = getattr(value, field.name)
+    for name, numbers in _values(value).items():
         for number in numbers if isinstance(numbers, tuple) else [numbers]:
             if isinstance(number, float) and not math.isfinite(number):
-                raise InputError(f"kind {value.name}: {field.name} is {number}; it must be finite")
+                raise InputError(f"kind {value.name}: {name} is {number}; it must be finite")
     return value
 
 

@@ -11,7 +11,7 @@ extension to this process only. An extension is imported when its name is looked
 
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -30,7 +30,7 @@ class Registry:
         group: Name of the entry point group.
         noun: Singular noun for an extension of this type, for messages.
         fault: Function that returns the reason why an object is invalid; "" if it is valid.
-        built_in: Function that returns the built-in objects by name.
+        built_in: Names of built-in extensions, which are not in the registry; no other extension may have them.
     """
 
     def __init__(
@@ -38,9 +38,9 @@ class Registry:
         group: str,
         noun: str,
         fault: Callable[[Any], str],
-        built_in: Callable[[], Mapping[str, Any]] = dict,
+        built_in: Collection[str] = (),
     ):
-        self.group, self.noun, self._fault, self._load_built_in = group, noun, fault, built_in
+        self.group, self.noun, self._fault, self._built_in = group, noun, fault, built_in
         self._own: dict[str, Any] = {}  # registered in this process
         self._loaded: dict[str, Any] = {}  # loaded from entry points
 
@@ -57,28 +57,16 @@ class Registry:
         self._own[value.name] = value
         return value
 
-    def unregister(self, name: str) -> None:
-        """Remove an extension that was registered in this process.
-
-        Raises:
-            InputError: For a name that is not registered in this process.
-        """
-        if name not in self._own:
-            raise InputError(f"{name!r} is not registered in this process")
-        del self._own[name]
-
     def names(self) -> tuple[str, ...]:
         """Return the names of all extensions: built-in ones, then those of packages, then those of this process."""
         return tuple(dict.fromkeys((*self._built_in, *self._entry_points, *self._own)))
 
     def find(self, name: str) -> Any:
-        """Return the extension with this name; import it if necessary.
+        """Return the added extension with this name; import it if necessary.
 
         Raises:
             InputError: If the name is unknown, or if the extension cannot be imported or is invalid.
         """
-        if name in self._built_in:
-            return self._built_in[name]
         if name in self._own:
             return self._own[name]
         self.refuse_unknown(name)
@@ -91,14 +79,10 @@ class Registry:
         if name not in self.names():
             raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
 
-    def all(self, without: Collection[str] = ()) -> dict[str, Any]:
-        """Return all extensions by name. Those that cannot be imported are excluded, with a UserWarning.
-
-        Args:
-            without: Names to exclude.
-        """
+    def added(self) -> dict[str, Any]:
+        """Return all added extensions by name. Those that cannot be imported are excluded, with a UserWarning."""
         found = {}
-        for name in (name for name in self.names() if name not in without):
+        for name in filter(self.is_added, self.names()):
             try:
                 found[name] = self.find(name)
             except InputError as error:
@@ -110,8 +94,8 @@ class Registry:
         return name in self._own
 
     def is_shared(self, value: Any) -> bool:
-        """True if other processes find the same extension by its name."""
-        return value.name in self.names() and not self.is_own(value.name) and self.find(value.name) is value
+        """True if other processes find the same added extension by its name."""
+        return value.name in self._entry_points and not self.is_own(value.name) and self.find(value.name) is value
 
     def refuse_own(self, chosen: Iterable[str]) -> None:
         """Raise InputError if one of the chosen names is registered in this process only."""
@@ -125,10 +109,6 @@ class Registry:
     def is_added(self, name: str) -> bool:
         """True if the extension is not built in: it is from an installed package or registered in this process."""
         return name not in self._built_in and (name in self._own or name in self._entry_points)
-
-    @cached_property
-    def _built_in(self) -> Mapping[str, Any]:
-        return self._load_built_in()
 
     @cached_property
     def _entry_points(self) -> dict[str, EntryPoint]:

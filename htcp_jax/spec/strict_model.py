@@ -6,6 +6,7 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from types import UnionType
 from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -42,12 +43,12 @@ def validate_model(raw: dict, model: type[BaseModel], source: str) -> Any:
         raise InputError(f"{source}: {described(first)}{others}") from None
 
 
-def refuse_unknown(raw: dict, model: type, source: str, prefix: str = "") -> None:
+def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None:
     """Raise an error for a key of `raw` that `model` does not have, and remove empty sections from `raw`.
 
     Args:
         raw: A mapping, which is modified.
-        model: A pydantic model or a dataclass.
+        model: A pydantic model, a dataclass, or a union of them, with the keys of all.
         source: Name of the mapping, for messages.
         prefix: Dotted key of the section with a final dot, such as "robot."; "" for the complete mapping.
 
@@ -81,13 +82,15 @@ class _Key(NamedTuple):
     """Type information of a model's key."""
 
     is_section: bool  # True if the value must be a section
-    sections: tuple[type, ...]  # types of sections that the value, or its items, may have
+    sections: tuple[Any, ...]  # types of sections that the value, or its items, may have
     is_mapping: bool  # True if the value is a mapping from names to items
     is_truth: bool  # True if the value may be true or false
 
 
 @cache
-def _keys_of(model: type[Any]) -> dict[str, _Key]:
+def _keys_of(model: Any) -> dict[str, _Key]:
+    if isinstance(model, UnionType):
+        return {name: key for one in get_args(model) for name, key in _keys_of(one).items()}
     kinds = (
         {field.name: field.type for field in fields(model)}
         if is_dataclass(model)
@@ -104,6 +107,8 @@ def _key(kind: Any) -> _Key:
 
 
 def _is_section(kind: Any) -> bool:
+    if isinstance(kind, UnionType):
+        return all(map(_is_section, get_args(kind)))
     return isinstance(kind, type) and (is_dataclass(kind) or hasattr(kind, "model_fields"))
 
 

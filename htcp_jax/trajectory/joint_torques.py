@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robots import composed, model_file
+from htcp_jax.io.robots import chain_of_file, compile_spec, composed, delete_all, fix_joints, joint_name
 from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -50,13 +50,10 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     """
     source, turned = (arm.file, arm.base_rpy_rad) if tree is None else (tree, tool.ZERO)
     path = model_source.label_of(source)
-    with model_file.no_log():
-        spec = composed.read_model(source)
-    for elements in spec.tuples, spec.excludes, spec.geoms, spec.meshes:  # MuJoCo deletes tuples with their geoms
-        for each in list(elements):
-            spec.delete(each)
-    model = model_file.compile_spec(spec, path)
-    model_file.fix_joints(model, path, dict(arm.locked))
+    spec = composed.read_model(source)
+    delete_all(spec, spec.tuples, spec.excludes, spec.geoms, spec.meshes)
+    model = compile_spec(spec, path)
+    fix_joints(model, path, dict(arm.locked))
     massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
     if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
         return None
@@ -75,8 +72,8 @@ def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[...
     with contextlib.redirect_stdout(None):  # importing MJX prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
-    fixed = [j for j in range(model.njnt) if model_file.joint_name(model, j) in locked]
-    joints = np.array(model_file.chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
+    fixed = [j for j in range(model.njnt) if joint_name(model, j) in locked]
+    joints = np.array(chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
     still = np.array([model.qpos0, np.zeros(model.nv), np.zeros(model.nv)])
     blank = mjx.make_data(device)
 

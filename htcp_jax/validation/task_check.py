@@ -5,26 +5,24 @@ The code is independent of the planner's implementation of the rows.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import singledispatch
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from htcp_jax.model import TaskRow, task_row_kind
 from htcp_jax.settings import Settings
-from htcp_jax.spec import with_arrays
+from htcp_jax.spec import TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, TaskRowKind, path_row, with_arrays
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
-
-HELD = TaskRow(point="tcp", on="path")
 
 
 class RowCheck(NamedTuple):
     """Deviation from one row of the task at n points of the path, and its tolerance, in metres or degrees."""
 
-    row: task_row_kind.TaskRowKind
+    row: TaskRowKind
     off: Float[np.ndarray, "n"]  # deviation; NaN if not checked at this point
     most: float
 
@@ -59,7 +57,7 @@ class PartPose(NamedTuple):
     workpiece: WorkpieceData
     point: Int[np.ndarray, "n"]
 
-    def world(self, row: TaskRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
+    def world(self, row: PointRow | AxisRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
         """Return a position or direction that a row contains as numbers, transformed to the world.
 
         Args:
@@ -72,8 +70,25 @@ class PartPose(NamedTuple):
         return self.rotate @ np.array(vector) + (self.translate if is_place else 0.0)
 
 
+class PosedArm(NamedTuple):
+    """An arm in n configurations."""
+
+    arm: MujocoArm
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+
+    def frames(self, name: str) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+        """Return the origins [m] and rotations of a frame."""
+        return self.arm.frames(self.x, name)
+
+    def from_world(self, value: Float[np.ndarray, "*v"]) -> Float[np.ndarray, "n *v"]:
+        """Return a direction or an orientation that is fixed in the workshop, for each configuration."""
+        if self.arm.root:
+            return self.frames("world")[1] @ value
+        return np.tile(value, (len(self.x), *[1] * value.ndim))
+
+
 def part_between(
-    rows: Sequence[task_row_kind.TaskRowKind],
+    rows: Sequence[TaskRowKind],
     rotate: Float[np.ndarray, "3 3"],
     translate: Float[np.ndarray, "3"],
     workpiece: WorkpieceData,
@@ -117,7 +132,7 @@ def part_between(
 
 
 def check_rows(
-    rows: Sequence[task_row_kind.TaskRowKind],
+    rows: Sequence[TaskRowKind],
     arm: MujocoArm,
     x: Float[np.ndarray, "n N"],
     place: PartPose,
@@ -134,11 +149,12 @@ def check_rows(
         tolerance_m: Tolerance of position rows without a tolerance of their own [m].
         tolerance_rad: Tolerance of direction rows without a tolerance of their own [rad].
     """
-    return [_check_row(row, arm, x, place, tolerance_m, float(np.rad2deg(tolerance_rad))) for row in rows or (HELD,)]
+    posed, most_deg = PosedArm(arm, x), float(np.rad2deg(tolerance_rad))
+    return [_check_row(row, posed, place, tolerance_m, most_deg) for row in rows or (TCP_ON_PATH,)]
 
 
 def hold_between(
-    rows: Sequence[task_row_kind.TaskRowKind],
+    rows: Sequence[TaskRowKind],
     arm: MujocoArm,
     x: Float[np.ndarray, "n N"],
     before: PartPose,
@@ -158,26 +174,11 @@ def hold_between(
         here: The part's pose, and the point of the path after each configuration.
         settings: Settings with the tolerances.
     """
-    good = np.ones((len(rows), len(x)), bool)
-    for own, row in zip(good, rows, strict=True):
-        if not isinstance(row, TaskRow):
-            most = settings.tolerance_rad if row.angular else settings.tolerance_m
-            own[:] = ~(_off_kind(row, arm, x, (before, here)) > most + ROUNDING_M)
-        elif row.point is None:
-            own[:] = _turned_between(row, arm, x, (before, here), settings.tolerance_rad + ROUNDING_M)
-        elif not _is_tcp_at_place(row):
-            point, most = _point(row, arm, x), (row.within_m or 0.0) + settings.tolerance_m + ROUNDING_M
-            off = [_off_place(row, point, place) for place in (before, here)]
-            own[:] = ((np.minimum(*off) <= most) & (np.maximum(*off) >= -most)).all(axis=1)
-        elif row.on != "path":
-            off = _off_place(row, _point(row, arm, x), here)
-            own[:] = np.linalg.norm(off, axis=1) <= settings.tube_m + ROUNDING_M
-    return good
+    masks = [_holds_between(row, PosedArm(arm, x), (before, here), settings) for row in rows]
+    return np.array(masks, bool).reshape(len(rows), len(x))
 
 
-def path_follower(
-    rows: Sequence[task_row_kind.TaskRowKind], arm: MujocoArm, x: Float[np.ndarray, "n N"]
-) -> Float[np.ndarray, "n 3"]:
+def path_follower(rows: Sequence[TaskRowKind], arm: MujocoArm, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
     """Return the position of the point that follows the path, world [m]; the TCP if no row defines one.
 
     Args:
@@ -185,57 +186,93 @@ def path_follower(
         arm: The arm.
         x: Configurations [rad or m].
     """
-    return _point(next((row for row in rows if row.on == "path"), HELD), arm, x)
+    return _point(path_row(rows) or TCP_ON_PATH, PosedArm(arm, x))
 
 
-def holds_tcp(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
+def holds_tcp(rows: Sequence[TaskRowKind]) -> bool:
     """Return True if a row of the task constrains the TCP to the path in all directions."""
-    return not rows or any(isinstance(row, TaskRow) and replace(row, frame=HELD.frame) == HELD for row in rows)
+    return not rows or any(isinstance(row, PointRow) and replace(row, frame="world") == TCP_ON_PATH for row in rows)
 
 
-def follows_all(rows: Sequence[task_row_kind.TaskRowKind]) -> bool:
+def follows_all(rows: Sequence[TaskRowKind]) -> bool:
     """Return True if the point that follows the path is constrained exactly and in all directions."""
-    row = next((row for row in rows if isinstance(row, TaskRow) and row.on == "path"), None if rows else HELD)
+    row = path_row(rows or (TCP_ON_PATH,))
     return row is not None and row.axes == "xyz" and row.within_m is None
 
 
-def _check_row(
-    row: task_row_kind.TaskRowKind, arm: MujocoArm, x: np.ndarray, place: PartPose, most_m: float, most_deg: float
-) -> RowCheck:
-    if not isinstance(row, TaskRow):
-        off = _off_kind(row, arm, x, (place,))
-        return RowCheck(row, np.rad2deg(off) if row.angular else off, most_deg if row.angular else most_m)
-    if row.point is not None:
-        off = _off_place(row, _point(row, arm, x), place)
-        exact = row.within_m is None
-        return RowCheck(row, np.linalg.norm(off, axis=1) if exact else np.abs(off).max(axis=1), row.within_m or most_m)
-    off = _off_axis(row, arm, x, place) if row.axis is not None else _off_turn(row, arm, x, place)
-    allowed = max(row.cone_deg or 0.0, row.within_deg or 0.0)
-    return RowCheck(row, np.rad2deg(off), allowed or most_deg)
+def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
+    off, own = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
+    return RowCheck(row, np.rad2deg(off) if row.angular else off, own or (most_deg if row.angular else most_m))
 
 
-def _off_kind(
-    row: task_row_kind.TaskRowKind, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, ...]
-) -> Float[np.ndarray, "n"]:
-    """Return the deviation from a row whose kind is defined in another package [m or rad]; NaN without a check.
+@singledispatch
+def _deviation(row: TaskRowKind, arm: PosedArm, *places: PartPose) -> Float[np.ndarray, "n"]:
+    """Return the deviation from a row [m or rad]; NaN without a check.
 
-    The row's method `deviation` computes it. Between two targets the result is the smallest deviation from three goals:
-    at both targets, and halfway between them.
+    The method `deviation` of a class of another package computes it. Between two targets the result is the smallest
+    deviation from three goals: at both targets, and halfway between them.
     """
     given = [_along_path(row, place) for place in places]
     if len(given) == 2:
         given.append({name: 0.5 * (given[0][name] + given[1][name]) for name in row.along})
-    found = np.full(len(x), np.inf)
+    found = np.full(len(arm.x), np.inf)
     for values in given if row.along else given[:1]:
         own = with_arrays(row)
         vars(own).update(values)
-        if (off := own.deviation(lambda name: arm.frames(x, name))) is None:
-            return np.full(len(x), np.nan)
+        if (off := own.deviation(arm.frames)) is None:
+            return np.full(len(arm.x), np.nan)
         found = np.minimum(found, off)
     return found
 
 
-def _along_path(row: task_row_kind.TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:
+@_deviation.register
+def _point_deviation(row: PointRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray, "n"]:
+    off = _off_place(row, _point(row, arm), place)
+    return np.linalg.norm(off, axis=1) if row.within_m is None else np.abs(off).max(axis=1)
+
+
+@_deviation.register
+def _turn_deviation(row: AxisRow | OrientationRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray, "n"]:
+    return _angle(_actual(row, arm), _required(row, arm, place))
+
+
+@singledispatch
+def _holds_between(
+    row: TaskRowKind, arm: PosedArm, places: tuple[PartPose, PartPose], settings: Settings
+) -> Bool[np.ndarray, "n"]:
+    most = settings.tolerance_rad if row.angular else settings.tolerance_m
+    return ~(_deviation(row, arm, *places) > most + ROUNDING_M)
+
+
+@_holds_between.register
+def _point_holds_between(
+    row: PointRow, arm: PosedArm, places: tuple[PartPose, PartPose], settings: Settings
+) -> Bool[np.ndarray, "n"]:
+    if replace(row, on="path", frame="world") != TCP_ON_PATH or row.is_on_surface:
+        point, most = _point(row, arm), (row.within_m or 0.0) + settings.tolerance_m + ROUNDING_M
+        off = [_off_place(row, point, place) for place in places]
+        return ((np.minimum(*off) <= most) & (np.maximum(*off) >= -most)).all(axis=1)
+    if row.follows_path:
+        return np.ones(len(arm.x), bool)
+    return _deviation(row, arm, places[1]) <= settings.tube_m + ROUNDING_M
+
+
+@_holds_between.register
+def _turn_holds_between(
+    row: AxisRow | OrientationRow, arm: PosedArm, places: tuple[PartPose, PartPose], settings: Settings
+) -> Bool[np.ndarray, "n"]:
+    """Return a mask, True where an axis or a frame is oriented as required at an end or in the middle of a segment.
+
+    In the middle, the tolerance is at least half of the rotation between the ends. A position at which an axis points
+    is fixed along the segment.
+    """
+    limit, tolerance = np.deg2rad(row.limit or 0.0), settings.tolerance_rad + ROUNDING_M
+    now, a, b = _actual(row, arm), *(_required(row, arm, place) for place in places)
+    good = (_angle(now, a) <= limit + tolerance) | (_angle(now, b) <= limit + tolerance)
+    return good | (_angle(now, _middle(a, b)) <= np.maximum(limit, 0.5 * _angle(a, b)) + tolerance)
+
+
+def _along_path(row: TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:
     """Return those of the path's points, tangents and normals that a row uses, in the world, by name."""
     own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
     return {
@@ -244,12 +281,12 @@ def _along_path(row: task_row_kind.TaskRowKind, place: PartPose) -> dict[str, Fl
     }
 
 
-def _point(row: TaskRow, arm: MujocoArm, x: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    origin, rotation = arm.frames(x, row.point)
+def _point(row: PointRow, arm: PosedArm) -> Float[np.ndarray, "n 3"]:
+    origin, rotation = arm.frames(row.point)
     return origin + rotation @ np.array(row.offset_m)
 
 
-def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.ndarray, "n k"]:
+def _off_place(row: PointRow, point: np.ndarray, place: PartPose) -> Float[np.ndarray, "n k"]:
     """Return the deviation of a point from its required position in the k constrained directions [m]."""
     if row.on == "plane":
         normal = place.world(row, row.normal) / np.linalg.norm(row.normal)
@@ -273,85 +310,53 @@ def _off_place(row: TaskRow, point: np.ndarray, place: PartPose) -> Float[np.nda
     return off[:, ["xyz".index(letter) for letter in row.axes]]
 
 
-def _off_axis(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
-    """Return the angle between an axis and its required direction [rad]."""
-    return _angle(_axis_direction(row, arm, x, place), _turned_to(row, arm, x, place))
+@singledispatch
+def _actual(row: AxisRow, arm: PosedArm) -> Float[np.ndarray, "n 3"]:
+    """Return the direction of an axis, or the orientations of a frame as rotation matrices.
 
-
-def _axis_direction(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
+    For the path's normal or tangent, it is the direction in the world, which the path's must match.
+    """
     if row.is_of_path:
-        return _of_path(row.axis, place)
+        return arm.from_world(np.array(row.towards))
     name, k, sign = row.axis_of
-    _, rotation = arm.frames(x, name)
-    return sign * rotation[:, :, k]
+    return sign * arm.frames(name)[1][:, :, k]
 
 
-def _of_path(name: str, place: PartPose) -> Float[np.ndarray, "n 3"]:
-    """Return the path's normals or tangents in the world, by their name in a row such as "-path.normal"."""
-    own = place.workpiece.normals if name.lstrip("-") == "path.normal" else place.workpiece.tangents
-    return (-1.0 if name.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
+@_actual.register
+def _actual_orientation(row: OrientationRow, arm: PosedArm) -> Float[np.ndarray, "n 3 3"]:
+    return arm.frames(row.of)[1]
 
 
-def _turned_to(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3"]:
-    """Return the required direction of an axis, not normalised."""
+@singledispatch
+def _required(row: AxisRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray, "n 3"]:
+    """Return the required direction of an axis, not normalised, or the required orientations of a frame."""
     if row.looks_at_m is not None:
-        origin, _ = arm.frames(x, row.axis_of[0])
-        return place.world(row, row.looks_at_m, True) - origin
-    if isinstance(row.towards, str):
-        return _of_path(row.towards, place)
+        return place.world(row, row.looks_at_m, True) - arm.frames(row.axis_of[0])[0]
+    if (name := row.along_path) is not None:
+        own = place.workpiece.normals if name.endswith("normal") else place.workpiece.tangents
+        return (-1.0 if name.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
     direction = place.world(row, row.towards)
-    if arm.root and row.frame == "world":
-        return arm.frames(x, "world")[1] @ direction
-    return np.broadcast_to(direction, (len(x), 3))
+    return arm.from_world(direction) if row.frame == "world" else np.tile(direction, (len(arm.x), 1))
 
 
-def _angle(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
-
-
-def _off_turn(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n"]:
-    """Return the rotation angle between a frame and its required orientation [rad]."""
-    _, rotation = arm.frames(x, row.of)
-    return _turn_angle(rotation, _orientation(row, arm, x, place))
-
-
-def _orientation(row: TaskRow, arm: MujocoArm, x: np.ndarray, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
-    """Return the required orientation of a frame, as rotation matrices."""
+@_required.register
+def _required_orientation(row: OrientationRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
     if row.orientation == "path":
         return place.rotate @ place.workpiece.rotations[place.point]
     own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
-    if arm.root and row.frame == "world":
-        return arm.frames(x, "world")[1] @ own
-    return np.tile(place.rotate @ own if row.frame == "workpiece" else own, (len(x), 1, 1))
+    return np.tile(place.rotate @ own, (len(arm.x), 1, 1)) if row.frame == "workpiece" else arm.from_world(own)
 
 
-def _turn_angle(a: Float[np.ndarray, "n 3 3"], b: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n"]:
+def _angle(a: Float[np.ndarray, "n *v"], b: Float[np.ndarray, "n *v"]) -> Float[np.ndarray, "n"]:
+    """Return the angles between directions, or between orientations, in pairs [rad]."""
+    if a.ndim == 2:
+        return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))
     return Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).magnitude() if len(a) else np.zeros(0)
 
 
-def _turned_between(
-    row: TaskRow, arm: MujocoArm, x: np.ndarray, places: tuple[PartPose, PartPose], tolerance_rad: float
-) -> Bool[np.ndarray, "n"]:
-    """Return a mask, True where an axis or a frame is oriented as required at an end or in the middle of a segment.
-
-    In the middle, the tolerance is at least half of the rotation between the ends. A position at which an axis points
-    is fixed along the segment.
-    """
-    limit = np.deg2rad(row.limit_deg or 0.0)
-    if row.axis is None:
-        (_, now), off = arm.frames(x, row.of), _turn_angle
-        a, b = (_orientation(row, arm, x, place) for place in places)
-        both = Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(x) else np.zeros((0, 3))
-        middle = Rotation.from_rotvec(0.5 * both).as_matrix() @ a
-    else:
-        now, ends, off = _axis_direction(row, arm, x, places[1]), _turned_to, _angle
-        if row.is_of_path:  # between two targets, the path's direction is interpolated
-            now, ends = _turned_to(row, arm, x, places[1]), _axis_direction
-        a, b = (ends(row, arm, x, place) for place in places)
-        middle = a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]
-    good = (off(now, a) <= limit + tolerance_rad) | (off(now, b) <= limit + tolerance_rad)
-    return good | (off(now, middle) <= np.maximum(limit, 0.5 * off(a, b)) + tolerance_rad)
-
-
-def _is_tcp_at_place(row: TaskRow) -> bool:
-    return replace(row, on=HELD.on, frame=HELD.frame) == HELD and row.on not in ("plane", "line")
+def _middle(a: Float[np.ndarray, "n *v"], b: Float[np.ndarray, "n *v"]) -> Float[np.ndarray, "n *v"]:
+    """Return the directions, not normalised, or the orientations halfway between two, in pairs."""
+    if a.ndim == 2:
+        return a / np.linalg.norm(a, axis=1)[:, None] + b / np.linalg.norm(b, axis=1)[:, None]
+    both = Rotation.from_matrix(b @ np.swapaxes(a, 1, 2)).as_rotvec() if len(a) else np.zeros((0, 3))
+    return Rotation.from_rotvec(0.5 * both).as_matrix() @ a

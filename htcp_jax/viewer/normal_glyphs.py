@@ -5,14 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.model import TaskRow, Workpiece
+from htcp_jax.model import Workpiece
+from htcp_jax.spec import TaskRowKind
 
 LENGTH_M = 0.04
 NormalGlyphs = Float[np.ndarray, "n 2 3"]  # foot and tip of each glyph, world [m]
 NO_GLYPHS = np.empty((0, 2, 3))
 
 
-def glyphs(task: Sequence[TaskRow], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]) -> NormalGlyphs:
+def glyphs(
+    task: Sequence[TaskRowKind], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
+) -> NormalGlyphs:
     """Return one glyph per point of the path, or none if no row of the task refers to the normals.
 
     Args:

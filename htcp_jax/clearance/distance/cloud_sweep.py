@@ -28,7 +28,7 @@ from htcp_jax.clearance.distance.cloud_tree_gpu import least_in_reach
 from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.numerics import one_by_one
-from htcp_jax.types import Array, Bool, Float
+from htcp_jax.types import Array, Float
 
 
 def clear_along(
@@ -37,7 +37,6 @@ def clear_along(
     q: Float[Array, "K 3"],
     sweep: BodySweep,
     reach: Float[Array, "K"],
-    requested: Bool[Array, "K"],
     wanted: RequiredClearance,
 ) -> Float[Array, "K"]:
     """Return lower bounds on the clearance of bodies along a sweep [m].
@@ -50,13 +49,13 @@ def clear_along(
         q: Second ends, in the cloud's frame [m].
         sweep: The bodies' motion.
         reach: Radii of the bodies [m].
-        requested: True for the bodies that a bound is computed for.
-        wanted: The required clearance, and the clearance above which the bound need not be exact [m].
+        wanted: The bodies that a bound is computed for, the required clearance, and the clearance above which the bound
+            need not be exact [m].
 
     Returns:
-        The bounds; at most `wanted.enough`, which is also the value of bodies not in `requested`.
+        The bounds; at most `wanted.enough`, which is also the value of bodies that are not requested.
     """
-    return _clear_along(index, p, q, *sweep, reach, requested, *wanted)
+    return _clear_along(index, p, q, *sweep, reach, *wanted)
 
 
 @one_by_one

@@ -68,12 +68,7 @@ class NearestPoint(NamedTuple):
     row: Int[Array, ""]
 
 
-def nearest_rows(
-    index: CloudIndex,
-    p: Float[Array, "K 3"],
-    q: Float[Array, "K 3"],
-    within: Float[Array, "K"] | None = None,
-) -> Int[Array, "K"]:
+def nearest_rows(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Int[Array, "K"]:
     """Return the row of the cloud's point nearest to each of K segments; any of several equally near points.
 
     The search is exact. A row has no gradient: differentiate the distance to the point in this row.
@@ -82,9 +77,8 @@ def nearest_rows(
         index: The cloud's tree.
         p: First ends of the segments [m].
         q: Second ends [m].
-        within: Largest distance [m]: -1 is returned where no point is nearer. None: no limit.
     """
-    limit = jnp.full(p.shape[0], 1e150, float) if within is None else within
+    limit = jnp.full(p.shape[0], 1e150, float)
     return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
 
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from htcp_jax.types import Array, Float, Scalar
+from htcp_jax.types import Array, Bool, Float, Scalar
 
 
 class BodySweep(NamedTuple):
@@ -14,8 +14,18 @@ class BodySweep(NamedTuple):
     travel: Float[Array, "K"]  # largest displacement of any point from its position at the middle [m]
 
 
+class SweptCapsules(NamedTuple):
+    """Capsules, and bounds on the displacement of their points."""
+
+    p: Float[Array, "n 3"]  # first ends of the axes, world [m]
+    q: Float[Array, "n 3"]  # second ends, world [m]
+    radius: Float[Array, "n"]  # [m]
+    moves: Float[Array, "n"]  # largest displacement of any point of the capsule [m]
+
+
 class RequiredClearance(NamedTuple):
     """Clearance that a proof requires along a motion [m]."""
 
+    requested: Bool[Array, "*K"]  # True for the bodies that a bound is computed for
     least: Scalar  # the required clearance [m]
     enough: Scalar  # clearances above this value need not be computed exactly [m]

@@ -15,14 +15,14 @@ from htcp_jax.clearance.distance.bounding_discs import CloudIndex
 from htcp_jax.clearance.distance.cloud_pieces import lowest_points
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows
-from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import axis_contact, capsule_point_distance, product
 from htcp_jax.pytree import register_pytree
-from htcp_jax.types import Bool, Float, Int, Scalar
+from htcp_jax.types import Bool, Float, Scalar
 
 
 @register_pytree
@@ -120,60 +120,18 @@ class Cloud(Obstacle):
         return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius, below=0.0).row >= 0
 
     def clear_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        sweep: BodySweep,
-        requested: Bool[jax.Array, "K"],
-        wanted: RequiredClearance,
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep, to second order: see `cloud_sweep`."""
         rotate, radius = where.T_world_workpiece[:3, :3], robots.radius_to_workpiece(robot) + self.cover
         own = sweep._replace(p=product(sweep.p, rotate), q=product(sweep.q, rotate))
-        return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, radius, requested, wanted)
+        return clear_along(self.index, bodies.p_workpiece, bodies.q_workpiece, own, radius, wanted)
 
-    def any_within(
-        self,
-        where: HasWorkpiecePose,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        within: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if any of n segments has a point of the cloud closer than its `within`.
-
-        Args:
-            where: A scenario, or another `HasWorkpiecePose`.
-            p: First ends of the segments, world [m].
-            q: Second ends, world [m].
-            within: Distance per segment [m]; a segment with a negative one is ignored.
-        """
-        own = in_workpiece(where, p), in_workpiece(where, q)
+    def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+        """Return True if a point of the cloud is certainly nearer to a body than the margin."""
+        own = in_workpiece(where, bodies.p), in_workpiece(where, bodies.q)
+        within = bodies.radius + narrow_phase.margin_m(where) - bodies.moves
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
-
-    def surely_touches(
-        self,
-        where: HasWorkpiecePose,
-        margin_m: Scalar,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        radius: Float[jax.Array, "n"],
-        moves: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if a capsule certainly has less clearance than the margin, see `Obstacle.surely_touches`."""
-        return self.any_within(where, p, q, radius + margin_m - moves)
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if the body touches a point at any of the configurations marked in `requested`."""
-        within = jnp.where(requested, robots.radius_to_workpiece(robot)[body] + self.cover, -1.0)
-        return jnp.any(nearest_rows(self.index, bodies.p_workpiece[:, body], bodies.q_workpiece[:, body], within) >= 0)
 
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:

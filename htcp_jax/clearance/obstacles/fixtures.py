@@ -25,7 +25,7 @@ from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpie
 from htcp_jax.model import ConvexPiece, Robot, convex_piece
 from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Bool, Float, Int
+from htcp_jax.types import Array, Bool, Float
 
 SIDES = 48  # sides of the prism about a cylinder, which is 0.2 % wider than the cylinder
 CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -54,13 +54,13 @@ class Fixtures(Obstacle):
         """Return the contact of every body with its nearest solid."""
         if robot.pieces is not None:
             return narrow_phase.decide(robot, bodies, [self.doubts(robot, where, bodies)])[0]
-        return self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
+        return self._nearest(bodies.p, bodies.q, robot.capsule_radius)
 
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
         """Return the bodies whose capsules are in doubt, and their pairs with solids, see `narrow_phase`."""
         if self.solids is None and not all(isinstance(kind, HalfSpace) for kind in (*self.simple, self.pieces) if kind):
             raise ValueError("the fixtures were made for an arm without pieces; make them for this arm")
-        capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius, self.is_checked)
+        capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius)
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         parts = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
@@ -72,19 +72,6 @@ class Fixtures(Obstacle):
         known = narrow_phase.undecided(capsules, limit)
         return narrow_phase.Doubts(capsules, doubt, known, body, solid, body, lower.reshape(-1), self.solids, planes)
 
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches a solid at any of the configurations marked in `requested`."""
-        is_checked = self.is_checked[:, body, None] & requested[None]
-        radius = jnp.broadcast_to(robot.capsule_radius[body], requested.shape)
-        return jnp.any(self._nearest(bodies.p[:, body], bodies.q[:, body], radius, is_checked).distance <= 0)
-
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
         """Return the distance of every solid to every body's capsule [m], including pairs that are not checked."""
         kinds = (*self.simple, *(() if self.pieces is None else (self.pieces,)))
@@ -95,19 +82,19 @@ class Fixtures(Obstacle):
         """Return the name of the solid nearest to a body, for messages."""
         return f"the fixture {self.names[int(_distances_alone(self, robot, where, bodies)[:, row].argmin())]!r}"
 
-    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], is_checked: Bool[Array, "G K"]) -> Contacts:
-        """Return the contact of each capsule with the nearest of its solids in the mask `is_checked`."""
-        seen = self._simple(p, q, is_checked) if self.simple else _nothing(len(p))
+    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
+        """Return the contact of each capsule with the nearest of its solids."""
+        seen = self._simple(p, q) if self.simple else _nothing(len(p))
         if self.pieces is not None:
-            is_checked = is_checked[len(is_checked) - len(self.balls) :]
+            is_checked = self.is_checked[len(self.is_checked) - len(self.balls) :]
             seen = _with_pieces((self.pieces, self.balls), is_checked, *jax.lax.stop_gradient((p, q, radius, seen)))
         return _constant_contacts(seen, p, q, radius)
 
-    def _simple(self, p: Ends, q: Ends, is_checked: Bool[Array, "G K"]) -> SolidContact:
+    def _simple(self, p: Ends, q: Ends) -> SolidContact:
         """Return the contact of each capsule with the nearest of the solids that are always measured."""
         parts = [_each_seen(kind, p, q) for kind in self.simple]
         seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
-        distance = jnp.where(is_checked[: len(seen.distance)], seen.distance, jnp.inf)
+        distance = jnp.where(self.is_checked[: len(seen.distance)], seen.distance, jnp.inf)
         best, body = jnp.argmin(distance, axis=0), jnp.arange(len(p))
         return jax.tree.map(lambda each: each[best, body], seen._replace(distance=distance))
 

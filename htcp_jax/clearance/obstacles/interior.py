@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths
+from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
-from htcp_jax.types import Bool, Float, Int, Scalar
+from htcp_jax.types import Bool, Float, Scalar
 
 NEAR_M = 0.05  # distance in front of the plane within which the depth in the hull is computed
 
@@ -67,52 +68,13 @@ class Interior(Obstacle):
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
         return jnp.min(jnp.where(requested, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 
-    def any_outside(
-        self,
-        where: HasWorkpiecePose,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        moves: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if an end of any of n segments is certainly deep and outside the hull.
-
-        This is certain if the end is beyond the plane and outside the hull by more than it can move.
-
-        Args:
-            where: A scenario, or another `HasWorkpiecePose`.
-            p: First ends of the segments, world [m].
-            q: Second ends, world [m].
-            moves: Largest displacement of each segment's ends [m].
-        """
+    def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+        """Return True if an end of a body is certainly deep and outside the hull, wherever it has moved."""
+        p, q, _, moves = bodies
         own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
         facet = crossed_facets(self.hull, own, _depth_of_ends(where, p, q) > moves)
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
         return jnp.any((facet >= 0) & (outside > moves))
-
-    def surely_touches(
-        self,
-        where: HasWorkpiecePose,
-        margin_m: Scalar,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        radius: Float[jax.Array, "n"],
-        moves: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if an end of a capsule is certainly deep and outside the hull, see `Obstacle.surely_touches`."""
-        return self.any_outside(where, p, q, moves)
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if a deep end of the body lies outside at any of the configurations marked in `requested`."""
-        deep = _depth_of_ends(where, bodies.p[:, body], bodies.q[:, body]) > 0
-        ends = jnp.concatenate([bodies.p_workpiece[:, body], bodies.q_workpiece[:, body]])
-        return jnp.any(crossed_facets(self.hull, ends, jnp.concatenate([requested, requested]) & deep) >= 0)
 
     def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
         """Return the distance of every body's outermost deep end outside the hull [m], -inf if no end is outside.

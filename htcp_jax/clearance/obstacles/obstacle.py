@@ -12,10 +12,10 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
+from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
-from htcp_jax.types import Bool, Float, Int, Joints, Pose, Scalar
+from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
 
 
 @runtime_checkable
@@ -81,11 +81,11 @@ def by_pieces(robot: Robot, rows: RowPairs, touch: Contacts) -> Bool[jax.Array, 
 class BodyAxes(NamedTuple):
     """Ends of the bodies' axes [m], in the world and in the workpiece frame."""
 
-    p: Float[jax.Array, "*S K 3"]  # first ends, world
-    q: Float[jax.Array, "*S K 3"]  # second ends, world
-    p_workpiece: Float[jax.Array, "*S K 3"]
-    q_workpiece: Float[jax.Array, "*S K 3"]
-    T: Float[jax.Array, "*S K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
+    p: Float[jax.Array, "K 3"]  # first ends, world
+    q: Float[jax.Array, "K 3"]  # second ends, world
+    p_workpiece: Float[jax.Array, "K 3"]
+    q_workpiece: Float[jax.Array, "K 3"]
+    T: Float[jax.Array, "K 4 4"] | None = None  # poses of the bodies' links in the world, for an arm with pieces
 
 
 def bodies_at(robot: Robot, where: HasWorkpiecePose, x: Joints) -> BodyAxes:
@@ -158,63 +158,18 @@ class Obstacle:
         """
         return self.contacts(robot, where, bodies).distance
 
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches the obstacle at any of the S configurations marked in `requested`.
-
-        Only for kinds with `per_body`.
-
-        Args:
-            robot: The robot.
-            where: A scenario, or another `HasWorkpiecePose`.
-            bodies: The bodies at all S configurations.
-            body: Index of the body.
-            requested: True for the configurations to test.
-        """
-        distance = jax.vmap(lambda own: self.contacts(robot, where, own).distance)(bodies)
-        return jnp.any(requested & (distance[:, body] <= 0))
-
     def clear_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        sweep: BodySweep,
-        requested: Bool[jax.Array, "K"],
-        wanted: RequiredClearance,
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
     ) -> Float[jax.Array, "K"]:
-        """Return a lower bound on the clearance of each body in `requested` along the sweep [m].
+        """Return a lower bound on the clearance of each body in `wanted.requested` along the sweep [m].
 
         The bound is tighter than distance minus travel. If any body has less than `wanted.least`, the values of the
         other bodies are arbitrary. Only for kinds with `per_body`.
         """
         raise NotImplementedError
 
-    def surely_touches(
-        self,
-        where: HasWorkpiecePose,
-        margin_m: Scalar,
-        p: Float[jax.Array, "n 3"],
-        q: Float[jax.Array, "n 3"],
-        radius: Float[jax.Array, "n"],
-        moves: Float[jax.Array, "n"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if any of n capsules certainly has less clearance than a margin; False if this is not known.
-
-        Args:
-            where: A scenario, or another `HasWorkpiecePose`.
-            margin_m: The margin [m].
-            p: First ends of the capsules' axes, world [m].
-            q: Second ends, world [m].
-            radius: Radii of the capsules [m].
-            moves: Largest displacement of any point of each capsule [m].
-        """
+    def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+        """Return True if a body certainly has less clearance than the margin of `where`; False if this is not known."""
         return jnp.zeros((), bool)
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:

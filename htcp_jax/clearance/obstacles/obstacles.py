@@ -12,7 +12,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.backend import backend
 from htcp_jax.clearance.obstacles.narrow_phase import decide_together
 from htcp_jax.clearance.obstacles.obstacle import (
     Contacts,
@@ -24,7 +23,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     slopes,
 )
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.numerics import safe_norm, value_and_jacobian, with_gradient
+from htcp_jax.numerics import value_and_jacobian, with_gradient
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
 
@@ -96,43 +95,6 @@ def is_clear(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joi
     bodies = bodies_at(robot, where, x)
     obstacles = decide_together(robot, obstacles, where, bodies)
     return ~_together(jnp.logical_or, [each.touches(robot, where, bodies) for each in obstacles])
-
-
-def all_clear(
-    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Float[jax.Array, "S N"]
-) -> Bool[jax.Array, ""]:
-    """Return True if D(x_s, O) > 0 at all of S >= 1 configurations, such as samples of a short joint path.
-
-    On a GPU, and for arms with convex pieces, every configuration is tested. Otherwise only the middle configuration is
-    measured completely: a body is clear wherever its ends have moved by less than its free radius, and is tested for
-    collision elsewhere. Obstacle kinds without `per_body` are tested at every configuration.
-
-    Args:
-        robot: The robot, with the scenario's tool.
-        obstacles: The obstacles O.
-        where: A scenario, or another `HasWorkpiecePose`.
-        x: The configurations (S, N) [rad or m], in the order of the path.
-    """
-    if not backend().is_cpu or robot.pieces is not None:  # a loop would cost more than it saves
-        return jnp.all(jax.vmap(partial(is_clear, robot, obstacles, where))(x))
-    middle = x.shape[0] // 2
-    bodies = jax.vmap(partial(bodies_at, robot, where))(x)
-    surroundings = tuple(each for each in obstacles if each.per_body)
-    others = tuple(each for each in obstacles if not each.per_body)
-    free = free_radius(robot, surroundings, where, x[middle])
-    p, q = bodies.p_workpiece, bodies.q_workpiece
-    moved = jnp.maximum(safe_norm(p - p[middle][None]), safe_norm(q - q[middle][None]))
-    open_ = moved >= free[None, :] - 1e-9  # [S K]; 1 nm is more than any rounding
-
-    def check_body(state):
-        left, _ = state
-        body = jnp.argmax(left)
-        touching = [each.touches_along(robot, where, bodies, body, open_[:, body]) for each in surroundings]
-        return left & (jnp.arange(left.shape[0]) != body), ~_together(jnp.logical_or, touching)
-
-    start = (jnp.any(open_, axis=0), jnp.full((), True))
-    clear = jax.lax.while_loop(lambda state: state[1] & jnp.any(state[0]), check_body, start)[1]
-    return clear & jnp.all(jax.vmap(partial(is_clear, robot, others, where))(x)) if others else clear
 
 
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:

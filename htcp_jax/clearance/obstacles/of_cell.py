@@ -26,7 +26,7 @@ from htcp_jax.model import Fixture, Robot, mesh_points
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Bool, Float, Int, Pose, Scalar
+from htcp_jax.types import Bool, Float, Pose, Scalar
 
 
 class _PlacedFrame(NamedTuple):
@@ -67,27 +67,10 @@ class PlacedCloud(Obstacle):
         return self.cloud.free_radius(*self._seen(robot, where, bodies))
 
     def clear_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        sweep: BodySweep,
-        requested: Bool[jax.Array, "K"],
-        wanted: RequiredClearance,
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
     ) -> Float[jax.Array, "K"]:
         """Return lower bounds on the clearance along the sweep [m], to second order."""
-        return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, requested, wanted)
-
-    def touches_along(
-        self,
-        robot: Robot,
-        where: HasWorkpiecePose,
-        bodies: BodyAxes,
-        body: Int[jax.Array, ""],
-        requested: Bool[jax.Array, "S"],
-    ) -> Bool[jax.Array, ""]:
-        """Return True if one body touches the cloud at any of the configurations marked in `requested`."""
-        return self.cloud.touches_along(*self._seen(robot, where, bodies), body, requested)
+        return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, wanted)
 
     @property
     def names(self) -> tuple[str]:
@@ -103,7 +86,7 @@ class PlacedCloud(Obstacle):
 
         Bodies that are not checked get the radius -FAR_M, so that they are far from everything.
         """
-        R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape((1,) * (bodies.p.ndim - 1) + (3,))
+        R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape(1, 3)
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
         links = np.array(robot.capsule_link)
         is_checked = (links >= 0) & ~np.isin(links, self.excluded)

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.exclusion import (
     PIECES,
     Bodies,
-    SweptCapsules,
+    ToolCell,
     cut_capsules,
     seen_from,
     surely_touches,
@@ -29,7 +30,7 @@ from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
-from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
+from htcp_jax.types import Array, Bool, Int, Joints, Scalar, Vector3
 
 WRIST = 3  # number of wrist joints
 
@@ -83,35 +84,26 @@ _MISSED_M = jax.jit(lambda robot: wrist(robot).missed_m)
 
 
 def tool_cell(
-    scene: Scene,
-    where: HasWorkpiecePose,
-    margin_m: Scalar,
-    target: Vector3,
-    quaternion: Float[Array, "4"],
-    rho: Scalar,
-    bodies: Int[Array, ""] | Bodies = Bodies.ARM,
+    scene: Scene, where: HasWorkpiecePose, cell: ToolCell, bodies: Int[Array, ""] | Bodies = Bodies.ARM
 ) -> CellBounds:
-    """Return the bounds of a cell of tool orientations: all configurations with the tool rotated by at most rho.
+    """Return the bounds of a cell of tool orientations.
 
     Args:
         scene: The scene.
-        where: A scenario, or another `HasWorkpiecePose`.
-        margin_m: Required clearance.
-        target: The target, world [m].
-        quaternion: Orientation of the last link, w first, without a unit.
-        rho: Largest rotation from this orientation [rad].
+        where: A scenario; its margin is required.
+        cell: The tool's poses in the cell.
         bodies: The bodies that the proof may use, see `Bodies`.
     """
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
-    moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
-    collides = tool_collides(scene, where, margin_m, target, quaternion, rho, bodies)
-    return CellBounds(collides, target + product(rotations.quaternion_matrix(quaternion), arm), moves + ROUNDING_M)
+    moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
+    collides = tool_collides(scene, where, cell, bodies)
+    centre = cell.target + product(rotations.quaternion_matrix(cell.quaternion), arm)
+    return CellBounds(collides, centre, moves + ROUNDING_M)
 
 
 def arm_cell(
     scene: Scene,
     where: HasWorkpiecePose,
-    margin_m: Scalar,
     target: Vector3,
     x: Joints,
     turns: Joints,
@@ -124,8 +116,7 @@ def arm_cell(
 
     Args:
         scene: The scene.
-        where: A scenario, or another `HasWorkpiecePose`.
-        margin_m: Required clearance.
+        where: A scenario; its margin is required.
         target: The target, world [m].
         x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
         turns: Largest distance of every joint from x [rad or m]; values of the last three joints are ignored.
@@ -143,7 +134,7 @@ def arm_cell(
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
     (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
     bodies = SweptCapsules(p, q, radius, aside + jnp.maximum(of_p, of_q) + unused_m(use, Bodies.ARM))
-    return CellBounds(off | surely_touches(scene.obstacles, where, margin_m, bodies), at[0], moves[0])
+    return CellBounds(off | surely_touches(scene.obstacles, where, bodies), at[0], moves[0])
 
 
 def _before_wrist(robot: Robot):

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof import arm_exclusion
 from htcp_jax.clearance.proof.exclusion import (
     Bodies,
-    SweptCapsules,
+    ToolCell,
     cut_capsules,
     seen_from,
     surely_touches,
@@ -157,10 +158,7 @@ def branch(
 def branch_collides(
     scene: Scene,
     where: HasWorkpiecePose,
-    margin_m: Scalar,
-    target: Vector3,
-    quaternion: Float[Array, "4"],
-    rho: Scalar,
+    cell: ToolCell,
     number: Int[Array, ""],
     use: Int[Array, ""] | Bodies = Bodies.ARM,
 ) -> Bool[Array, ""]:
@@ -170,20 +168,18 @@ def branch_collides(
 
     Args:
         scene: The scene; its arm `has_branches`.
-        where: A scenario, or another `HasWorkpiecePose`.
-        margin_m: Required clearance, the margin.
-        target: The target, world [m].
-        quaternion: Orientation of the last link, w first, without a unit.
-        rho: Largest rotation from this orientation [rad].
+        where: A scenario; its margin is required.
+        cell: The tool's poses in the cell.
         number: Index of the branch, 0 to BRANCHES - 1.
         use: The bodies that the proof may use, see `Bodies`.
     """
+    target, quaternion, rho = cell
     robot, tool, tolerance_m = scene.robot, rotations.quaternion_matrix(quaternion), scene.task.tolerance_m
     own = branch(robot, target, tool, rho, number, tolerance_m)
     arm = _on_arm(robot, own, _wrist_ball(robot, target, tool, rho, tolerance_m), use)
     of_tool = _on_tool(robot, own, target, tool, rho, tolerance_m, use)
     bodies = cut_capsules(SweptCapsules(*(jnp.concatenate(both) for both in zip(arm, of_tool, strict=True))))
-    touches = surely_touches(scene.obstacles, where, margin_m, bodies)
+    touches = surely_touches(scene.obstacles, where, bodies)
     return own.empty | _beyond_limits(robot, own) | touches
 
 

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
@@ -39,63 +40,44 @@ class Bodies(IntEnum):
     ARM = 3  # in addition, bodies of all links up to the wrist
 
 
-class SweptCapsules(NamedTuple):
-    """Capsules, and bounds on the displacement of their points."""
+class ToolCell(NamedTuple):
+    """Poses of the tool: the TCP is near a target, the last link rotated by at most rho from an orientation."""
 
-    p: Float[Array, "n 3"]  # first ends of the axes [m]
-    q: Float[Array, "n 3"]  # second ends [m]
-    radius: Float[Array, "n"]  # [m]
-    moves: Float[Array, "n"]  # largest displacement of any point of the capsule [m]
+    target: Vector3  # the TCP is within the task's tolerance of it, world [m]
+    quaternion: Float[Array, "4"]  # orientation of the last link, w first, without a unit
+    rho: Scalar  # [rad]
 
 
-def surely_touches(
-    obstacles: Obstacles, where: HasWorkpiecePose, margin_m: Scalar, bodies: SweptCapsules
-) -> Bool[jax.Array, ""]:
-    """Return True if one of the bodies certainly has less clearance than margin_m [m].
+def surely_touches(obstacles: Obstacles, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+    """Return True if one of the bodies certainly has less clearance than the margin of `where`.
 
-    Each point of a body may be displaced by up to the body's `moves`. Bodies are in the world. Obstacles without such a
-    test are ignored. See docs/equations.md, section Exclusion.
+    Each point of a body may be displaced by up to the body's `moves`. Obstacles without such a test are ignored. See
+    docs/equations.md, section Exclusion.
     """
-    p, q, radius, moves = bodies
-    moves, found = moves + ROUNDING_M, jnp.zeros((), bool)
+    bodies, found = bodies._replace(moves=bodies.moves + ROUNDING_M), jnp.zeros((), bool)
     for each in obstacles:
-        found |= each.surely_touches(where, margin_m, p, q, radius, moves)
+        found |= each.surely_touches(where, bodies)
     return found
 
 
 def tool_collides(
-    scene: Scene,
-    where: HasWorkpiecePose,
-    margin_m: Scalar,
-    target: Vector3,
-    quaternion: Float[Array, "4"],
-    rho: Scalar,
-    bodies: Int[Array, ""] | Bodies = Bodies.ARM,
+    scene: Scene, where: HasWorkpiecePose, cell: ToolCell, bodies: Int[Array, ""] | Bodies = Bodies.ARM
 ) -> Bool[jax.Array, ""]:
     """Return True if the tool, or the link before it, has too little clearance in every configuration of a cell.
 
-    The cell has all configurations with the TCP within the tolerance of the target, and the last link rotated by at
-    most rho from the quaternion; see docs/equations.md, section Exclusion.
+    See docs/equations.md, section Exclusion.
 
     Args:
         scene: The scene.
-        where: A scenario, or another `HasWorkpiecePose`.
-        margin_m: Required clearance, the margin.
-        target: The target, world [m].
-        quaternion: Orientation of the last link, w first, without a unit.
-        rho: Largest rotation from this orientation [rad].
+        where: A scenario; its margin is required.
+        cell: The tool's poses in the cell.
         bodies: The bodies that the proof may use, see `Bodies`.
     """
-    R, own = rotations.quaternion_matrix(quaternion), _about_tip(scene.robot, bodies)
+    R, own = rotations.quaternion_matrix(cell.quaternion), _about_tip(scene.robot, bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
-    moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + scene.task.tolerance_m
-    at = partial(jnp.add, target[None])
-    return surely_touches(
-        scene.obstacles,
-        where,
-        margin_m,
-        SweptCapsules(at(product(own.p, R.T)), at(product(own.q, R.T)), own.radius, moves),
-    )
+    moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
+    p, q = (cell.target[None] + product(ends, R.T) for ends in (own.p, own.q))
+    return surely_touches(scene.obstacles, where, SweptCapsules(p, q, own.radius, moves))
 
 
 def _about_tip(robot: Robot, bodies: Int[Array, ""] | Bodies) -> SweptCapsules:

@@ -67,7 +67,8 @@ def on_interval(
     middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
     # The computed bound may exceed the required one, as it is recorded as the proven clearance.
-    wanted = RequiredClearance(jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least))
+    enough = jnp.maximum(jnp.sqrt(kept) * middle, least)
+    wanted = RequiredClearance(requested, jnp.where(keeps, good, least), enough)
     clear = []
     for each, own in zip(obstacles, free_radius, strict=True):
         rows = each.rows(robot)
@@ -77,9 +78,7 @@ def on_interval(
             travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
         by_travel = own - travel
         clear.append(
-            _closer(each, robot, where, bodies, moves, own, by_travel, good, wanted, requested)
-            if each.sweeps
-            else by_travel
+            _closer(each, robot, where, bodies, moves, own, by_travel, good, wanted) if each.sweeps else by_travel
         )
     clear = jnp.min(jnp.concatenate(clear))
     return Interval(middle, clear, clear >= wanted.least)
@@ -95,7 +94,6 @@ def _closer(
     by_travel: Float[Array, "K"],
     good: Scalar,
     wanted: RequiredClearance,
-    requested: Bool[Array, ""],
 ) -> Float[Array, "K"]:
     """Return lower bounds on the bodies' clearance [m], by the obstacle's own bound for bodies that travel too far.
 
@@ -103,8 +101,9 @@ def _closer(
     too near even to a flat wall.
     """
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # `nearer`: estimate, for a point
-    requested &= jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
-    by_sweep = kind.clear_along(robot, where, bodies, moves, open_ & requested, wanted)
+    hopeful = jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
+    requested = wanted.requested & hopeful
+    by_sweep = kind.clear_along(robot, where, bodies, moves, wanted._replace(requested=open_ & requested))
     if robot.pieces is not None:  # a piece's free radius may prove more than the sweep of its capsule
         failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # True: the other values are arbitrary
         by_sweep = jnp.where(failed, by_travel, jnp.maximum(by_sweep, by_travel))

@@ -23,14 +23,12 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
-from htcp_jax.clearance.obstacles.obstacles import all_clear
 from htcp_jax.clearance.obstacles.scene import Scene
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, rows_hold
 from htcp_jax.numerics import capsule_point_distance, product, safe_norm
-from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss, as proofs of grazing paths take many halvings
@@ -125,31 +123,6 @@ def query_on(
         return Bisection(index, depth, end, found)
 
     return look
-
-
-def path_clear(scene: Scene, settings: Settings, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Return True if the straight joint path from a to b, without its ends, is clear by `settings.path_test`.
-
-    With `bisection` the path is proven to be clear. With `samples` only some configurations on the path are tested.
-
-    Args:
-        scene: The scene.
-        settings: `path_test` and, for `samples`, the number of steps.
-        where: A scenario, or another `HasWorkpiecePose`.
-        a: Start of the path [rad or m].
-        b: End of the path [rad or m].
-    """
-    if settings.path_test == "bisection":
-        return proven_clear(scene, where, a, b)
-    if settings.path_steps == 1:
-        return jnp.full((), True)
-    fractions = jnp.arange(1, settings.path_steps) / settings.path_steps
-    return all_clear(scene.robot, scene.obstacles, where, a[None, :] + fractions[:, None] * (b - a)[None, :])
-
-
-def proven_clear(scene: Scene, where: HasWorkpiecePose, a: Joints, b: Joints) -> Bool[jax.Array, ""]:
-    """Return True if D > 0 at the configurations that bisection tests, and D > -RESOLUTION_M is proven elsewhere."""
-    return prove(scene, where, a, b, resolution_m=RESOLUTION_M).verdict == PathVerdict.VALID
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):

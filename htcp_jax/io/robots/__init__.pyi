@@ -1,8 +1,11 @@
 from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from .chain import chain_of_file
+from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
-from .vendor_import import ImportedArm, body_name, chain_text, import_robot
+from .mujoco_models import body_name, compile_spec, delete_all, joint_name
+from .vendor_import import ImportedArm, chain_text, import_robot
 
 __all__ = [
     "LIMIT_ROUNDING",
@@ -13,11 +16,16 @@ __all__ = [
     "attached",
     "body_name",
     "capsule_fit",
+    "chain_of_file",
     "chain_text",
     "close_fit",
+    "compile_spec",
     "composed",
+    "delete_all",
+    "fix_joints",
     "gp50",
     "import_robot",
+    "joint_name",
     "load_robot",
     "mjcf",
     "model_file",

@@ -10,9 +10,12 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float
+
+from htcp_jax.io.robots.frames import frame
 
 GRID_M = 1e-5  # ends and radius are multiples of it, the radius rounded up
 THINNEST_M = 3e-3  # minimum radius: a thinner body would need impractically dense points on the workpiece
@@ -49,6 +52,19 @@ class Capsule(NamedTuple):
     p: Vector
     q: Vector
     radius: float
+
+    @classmethod
+    def along_z(cls, T: Float[np.ndarray, "4 4"], radius: float, half: float) -> "Capsule":
+        """Return the capsule about the z axis of a frame T, half its axis on each side of the origin [m]."""
+        reach = half * T[:3, 2]
+        return cls(T[:3, 3] + reach, T[:3, 3] - reach, float(radius))
+
+    @classmethod
+    def of_geom(cls, model: mujoco.MjModel, geom: int, T: Float[np.ndarray, "4 4"]) -> "Capsule":
+        """Return a capsule or a sphere of a model, in the frame in which its body has the pose T."""
+        radius, half, _ = model.geom_size[geom]
+        T_geom = T @ frame(model.geom_pos[geom], model.geom_quat[geom])
+        return cls.along_z(T_geom, radius, half if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0)
 
     @property
     def volume(self) -> float:

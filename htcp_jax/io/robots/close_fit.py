@@ -142,12 +142,7 @@ class _Surface:
     """Distances of capsules' surfaces from a mesh."""
 
     def __init__(self, triangles: Triangles):
-        corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-        mesh = fcl.BVHModel()
-        mesh.beginModel(len(triangles), len(corners))
-        mesh.addSubModel(corners, faces.reshape(-1, 3))
-        mesh.endModel()
-        self._mesh = fcl.CollisionObject(mesh)
+        self._mesh = mesh_object(triangles)
         self._known: dict[tuple, Float[np.ndarray, "n"]] = {}
 
     def areas(
@@ -163,12 +158,24 @@ class _Surface:
         """Return the distances of a capsule's `surface_points` from the mesh [m]."""
         key = (*capsule.p, *capsule.q, capsule.radius)
         if key not in self._known:
-            self._known[key] = np.array([self._distance_m(point) for point in surface_points(capsule)])
+            self._known[key] = np.array([point_distance_m(self._mesh, point) for point in surface_points(capsule)])
         return self._known[key]
 
-    def _distance_m(self, point: Vector) -> float:
-        probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), point))
-        return fcl.distance(self._mesh, probe) + PROBE_M
+
+def mesh_object(triangles: Triangles) -> fcl.CollisionObject:
+    """Return a mesh as an object of FCL, at the origin."""
+    corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    mesh = fcl.BVHModel()
+    mesh.beginModel(len(triangles), len(corners))
+    mesh.addSubModel(corners, faces.reshape(-1, 3))
+    mesh.endModel()
+    return fcl.CollisionObject(mesh)
+
+
+def point_distance_m(shape: fcl.CollisionObject, point: Vector) -> float:
+    """Return the distance of a point from an object of FCL [m]."""
+    probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), point))
+    return fcl.distance(shape, probe) + PROBE_M
 
 
 def surface_points(capsule: Capsule) -> Float[np.ndarray, "n 3"]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
-from htcp_jax.io.robots.frames import joint_name
-from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec, unreadable_model
+from htcp_jax.io.robots.mujoco_models import compiled, delete_all, joint_name, no_log, set_massless
+from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS
 from htcp_jax.spec import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.types import Triple
@@ -45,6 +45,7 @@ class _Part(NamedTuple):
         return "" if self.placed.key == ROBOT else f"{self.placed.key}."
 
 
+@no_log()
 def read_model(source: ModelSource) -> mujoco.MjSpec:
     """Read a model of an arm or a cell as an MjSpec, without compiling it.
 
@@ -86,26 +87,17 @@ def _read_part(placed: PlacedModel) -> _Part:
     spec = read_spec(placed.file, contacts=True)
     for number, joint in enumerate(spec.joints, 1):
         joint.name = joint.name or f"joint{number}"
-    spec.compiler.fusestatic = False  # as for a single file, see `model_file.compile_spec`
-    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
-    spec.compiler.balanceinertia = True
+    set_massless(spec)  # as for a single file
     bare = spec.copy()
-    for elements in bare.tuples, bare.excludes, bare.geoms, bare.meshes:
-        for each in list(elements):
-            bare.delete(each)
-    try:
-        return _Part(placed, spec, bare.compile())
-    except (ValueError, mujoco.FatalError) as error:
-        raise unreadable_model(placed.file, error) from None
+    delete_all(bare, bare.tuples, bare.excludes, bare.geoms, bare.meshes)
+    return _Part(placed, spec, compiled(bare, placed.file))
 
 
 def _without_custom(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Return a model without texts, numerics, tuples and exclusions with its world, which may move in the tree."""
     own = spec.copy()
     of_world = [each for each in own.excludes if WORLD in (each.bodyname1, each.bodyname2)]
-    for elements in own.tuples, own.texts, own.numerics, of_world:
-        for each in list(elements):
-            own.delete(each)
+    delete_all(own, own.tuples, own.texts, own.numerics, of_world)
     return own
 
 

@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.frames import frame, joint_name, shifted_frame, turned_frame
+from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
+from htcp_jax.io.robots.mujoco_models import joint_name
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FOLLOWS = int(mujoco.mjtEq.mjEQ_JOINT)
@@ -93,7 +94,7 @@ def _fix(model: mujoco.MjModel, joint: int, value: float) -> None:
         T = shifted_frame(anchor) @ turned_frame(axis, moved) @ shifted_frame(-anchor)
     else:
         T = shifted_frame(moved * axis)
-    pose = frame(model.body_pos[body], model.body_quat[body]) @ T
+    pose = body_frame(model, body) @ T
     model.body_pos[body] = pose[:3, 3]
     mujoco.mju_mat2Quat(model.body_quat[body], pose[:3, :3].ravel())
     back = np.linalg.inv(T)

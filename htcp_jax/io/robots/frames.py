@@ -1,4 +1,4 @@
-"""Poses of frames as 4 x 4 matrices, and names of joints."""
+"""Poses of frames as 4 x 4 matrices."""
 
 import mujoco
 import numpy as np
@@ -13,6 +13,16 @@ def frame(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return pose
 
 
+def body_frame(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """Return the pose (4, 4) of a body in its parent's frame, in the model's initial configuration."""
+    return frame(model.body_pos[body], model.body_quat[body])
+
+
+def site_frame(model: mujoco.MjModel, site: int) -> np.ndarray:
+    """Return the pose (4, 4) of a site in its body's frame."""
+    return frame(model.site_pos[site], model.site_quat[site])
+
+
 def turned_frame(axis: np.ndarray, angle: float) -> np.ndarray:
     """Return the pose (4, 4) of a frame that is turned about an axis (3,) by an angle [rad]."""
     quaternion = np.zeros(4)
@@ -25,8 +35,3 @@ def shifted_frame(offset: np.ndarray) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, 3] = offset
     return pose
-
-
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return the joint's own name, or joint1, joint2, ... by its index in the model."""
-    return model.joint(joint).name or f"joint{joint + 1}"

@@ -11,9 +11,8 @@ from jaxtyping import Float
 from htcp_jax.errors import Note
 from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.composed import PER_JOINT
-from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.joint_limits import read_joint_limits
-from htcp_jax.io.robots.model_file import joint_numbers
+from htcp_jax.io.robots.mujoco_models import has_numeric, joint_name, joint_numbers, model_name
 
 Numbers = dict[str, Float[np.ndarray, "J"]]  # values of PER_JOINT for all joints of a model, by name
 
@@ -32,12 +31,10 @@ def limits_of(
     Raises:
         InputError: For a file that cannot be read, and for joints without a range.
     """
-    known = [name for name in PER_JOINT if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name) >= 0]
-    numbers = {name: joint_numbers(model, path, name, np.inf) for name in known}
+    numbers = {name: joint_numbers(model, path, name) for name in PER_JOINT if has_numeric(model, name)}
     at, ranges = list(joints), remarks.own_ranges(model, joints)
     if file is not None:
-        arm = model.names.partition(b"\0")[0].decode(errors="replace")
-        stated = read_joint_limits(file, [joint_name(model, j) for j in joints], arm)
+        stated = read_joint_limits(file, [joint_name(model, j) for j in joints], model_name(model))
         speed = numbers.get("speed", np.full(model.njnt, np.inf))[at]
         if note := stated.note((ranges[:, 0], ranges[:, 1]), speed):
             warnings.warn(note, Note, stacklevel=3)

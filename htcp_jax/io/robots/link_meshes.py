@@ -14,9 +14,12 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
+from htcp_jax.io.robots.chain import Chain, chain_of_file, link_frames
+from htcp_jax.io.robots.close_fit import mesh_object, point_distance_m
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
-from htcp_jax.io.robots.model_file import NONE_LOCKED, Chain, chain_of_file, compile_spec, link_frames, no_log
+from htcp_jax.io.robots.model_file import NONE_LOCKED
+from htcp_jax.io.robots.mujoco_models import compile_spec, delete_all
 from htcp_jax.io.robots.safe_xml import CUTS, MADE_FROM
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
@@ -24,7 +27,6 @@ from htcp_jax.model import robot as robots
 from htcp_jax.spec import ModelSource, label_of
 
 VISUAL = " --visual"  # suffix of the text MADE_FROM if the capsules enclose visual geometry
-PROBE_M = 1e-9  # radius of the sphere that represents a point
 MOST_CONTACTS = 1000  # maximum number of contacts between two pieces; the deepest contact is used
 SAMPLES, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
 FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
@@ -80,8 +82,7 @@ class LinkMeshes:
             locked: Values of joints that do not move, by their names [rad or m].
         """
         path = label_of(arm)
-        with no_log():
-            spec = read_model(arm)
+        spec = read_model(arm)
         texts = {text.name: text.data for text in spec.texts}
         triangles: dict[str, Triangles] | None = None
         for name in [name for name in texts if name.endswith(MADE_FROM)]:
@@ -95,8 +96,7 @@ class LinkMeshes:
             triangles = (triangles or {}) | {name.removesuffix(MADE_FROM) + body: each for body, each in own.items()}
         if triangles is None:
             return None
-        for each in list(spec.tuples):
-            spec.delete(each)
+        delete_all(spec, spec.tuples)
         model, held = compile_spec(spec, path), {}
         for geom in range(model.ngeom):
             name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
@@ -104,7 +104,7 @@ class LinkMeshes:
             piece = triangles.get(model.body(body).name) if cuts is not None else None
             for cut in _read_cuts(cuts or "") if piece is not None else ():
                 piece = clip(piece, cut)
-            held[name] = body, _capsule_of_geom(model, geom) if piece is None or not len(piece) else piece
+            held[name] = body, Capsule.of_geom(model, geom, np.eye(4)) if piece is None or not len(piece) else piece
         return cls(model, chain_of_file(model, path, fix_joints(model, path, locked)), held)
 
     def poses(self, x: Float[np.ndarray, "n N"], data: mujoco.MjData | None = None) -> Poses:
@@ -207,8 +207,7 @@ class LinkMeshes:
             T_model_joint = link_frames(self._model, np.eye(4), self._chain)[0][0]
             T_world_model = np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint)
             seen = np.linalg.solve(T_world_model, [*point, 1.0])[:3]
-        probe = fcl.CollisionObject(fcl.Sphere(PROBE_M), fcl.Transform(np.eye(3), seen))
-        return max(0.0, fcl.distance(self._placed(name, at, 0), probe) + PROBE_M)
+        return max(0.0, point_distance_m(self._placed(name, at, 0), seen))
 
     def _placed(self, name: str, at: Poses, k: int | np.integer) -> fcl.CollisionObject:
         body, shape, T = self._parts[name]
@@ -269,12 +268,7 @@ def _read_cuts(text: str) -> list[Cut]:
 
 def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
     if not isinstance(held, Capsule):
-        corners, faces = np.unique(held.reshape(-1, 3), axis=0, return_inverse=True)
-        mesh = fcl.BVHModel()
-        mesh.beginModel(len(held), len(corners))
-        mesh.addSubModel(corners, faces.reshape(-1, 3))
-        mesh.endModel()
-        return _MeshPart(body, fcl.CollisionObject(mesh), None)
+        return _MeshPart(body, mesh_object(held), None)
     T, along, turn, flat = np.eye(4), held.p - held.q, np.empty(4), np.empty(9)
     T[:3, 3], length = (held.p + held.q) / 2, float(np.linalg.norm(along))
     if length == 0:
@@ -283,11 +277,3 @@ def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
     mujoco.mju_quat2Mat(flat, turn)
     T[:3, :3] = flat.reshape(3, 3)
     return _MeshPart(body, fcl.CollisionObject(fcl.Capsule(held.radius, length)), T)
-
-
-def _capsule_of_geom(model: mujoco.MjModel, geom: int) -> Capsule:
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
-    half = model.geom_size[geom, 1] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
-    reach, middle = half * flat[2::3], model.geom_pos[geom]
-    return Capsule(middle + reach, middle - reach, float(model.geom_size[geom, 0]))

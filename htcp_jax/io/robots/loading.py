@@ -7,8 +7,9 @@ from pathlib import Path
 
 import jax
 
+from htcp_jax.io.robots.chain import FEWEST_JOINTS
 from htcp_jax.io.robots.link_meshes import MeshesInFile
-from htcp_jax.io.robots.model_file import FEWEST_JOINTS, NONE_LOCKED, no_log, read_robot_file
+from htcp_jax.io.robots.model_file import NONE_LOCKED, read_robot_file
 from htcp_jax.io.robots.safe_xml import PART, read_spec
 from htcp_jax.model import Robot, robot
 from htcp_jax.spec import GP50, ROBOT, ComposedModel, Tool
@@ -83,8 +84,7 @@ def part_moves(path: Path | ComposedModel) -> bool:
 
 @lru_cache(maxsize=64)
 def _part_moves(path: Path, *_: int) -> bool:
-    with no_log():
-        return any(text.name == PART and text.data != robot.WORLD.name for text in read_spec(path, contacts=True).texts)
+    return any(text.name == PART and text.data != robot.WORLD.name for text in read_spec(path, contacts=True).texts)
 
 
 def gp50(limits: str = "simulation") -> Robot:

@@ -9,10 +9,11 @@ import numpy as np
 
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.link_meshes import VISUAL, cuts_text
-from htcp_jax.io.robots.model_file import EXCLUDED, excluded_bodies
+from htcp_jax.io.robots.model_file import EXCLUDED
+from htcp_jax.io.robots.mujoco_models import body_name, excluded_bodies
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
-from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm, body_name
+from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm
 
 Listed = tuple[str, str, str, float]  # an `Exclusion`, with the capsules' names
 
@@ -37,11 +38,7 @@ PIECES_HEAD = """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
 
-def arm_xml(
-    arm: ImportedArm,
-    source: str,
-    listed: Sequence[Listed] | None = None,
-) -> str:
+def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = None) -> str:
     """Return the text of an MJCF file for `load_robot`.
 
     Args:

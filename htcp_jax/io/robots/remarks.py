@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.joint_limits import UNLIMITED
+from htcp_jax.io.robots.mujoco_models import joint_name, text_of
 
 ON_JOINT, ON_BODY = "remark on joint ", "remark on body "  # heads of a text's name, before the joint's or body's
 NO_RANGE, ENDLESS, SOFT, ONE_BOUND = "no range", "endless", "soft limits", "one bound"
@@ -24,7 +24,7 @@ UNUSED_RANGE, LONG_AXIS = "unused range", "long axis"
 # Each of these is followed by a value.
 FOLLOWS, COUPLED, TYPE, HELD, NO_RATE = "follows ", "is coupled to ", "type ", "is held at ", "no "
 PLANAR_ENDINGS = "_TX", "_TY", "_RZ"  # of the names of the three joints that MuJoCo makes of a planar one
-MOST_NAMED = 12  # maximum number of joints in a note
+MOST_NAMED = 12  # maximum number of names in a message
 
 
 class Remedies(NamedTuple):
@@ -50,11 +50,8 @@ def add_remarks(
 
 def _remarks(model: mujoco.MjModel, name: str, head: str = ON_JOINT) -> list[str]:
     """Return the remarks on a joint or body of a compiled model, by its name."""
-    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, head + name)
-    if text < 0:
-        return []
-    start, size = model.text_adr[text], model.text_size[text]
-    return model.text_data[start : start + size].rstrip(b"\0").decode(errors="replace").split("\n")
+    text = text_of(model, head + name)
+    return [] if text is None else text.split("\n")
 
 
 def check_kinds(
@@ -88,7 +85,7 @@ def check_kinds(
                     f"with {remedies.freeze.format(name)}"
                 )
     if loops := dict.fromkeys(said for name in bodies for said in _remarks(model, name, ON_BODY)):
-        warnings.warn(f"{path}: ignored in <equality>: {_listed(list(loops))}", stacklevel=4)
+        warnings.warn(f"{path}: ignored in <equality>: {listed(list(loops))}", stacklevel=4)
 
 
 def _wrong_type(path: Path, joint: str, kind: str) -> InputError:
@@ -168,10 +165,11 @@ def note_limits(
     }.items():
         named = [name for name, is_so in zip(said, applies, strict=True) if is_so and remark in said[name]]
         if named:
-            warnings.warn(f"{path}: {text.format(_listed(named))}", Note, stacklevel=3)
+            warnings.warn(f"{path}: {text.format(listed(named))}", Note, stacklevel=3)
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return names as text, at most MOST_NAMED of them."""
     return ", ".join([*names[:MOST_NAMED], *(["..."] if len(names) > MOST_NAMED else [])])
 
 

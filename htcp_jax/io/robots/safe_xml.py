@@ -18,6 +18,7 @@ import mujoco
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import constraints, remarks
+from htcp_jax.io.robots.mujoco_models import no_log, unreadable_model
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
 from htcp_jax.system import opened
@@ -72,6 +73,7 @@ class _Builder(ElementTree.TreeBuilder):
         return super().end(tag)
 
 
+@no_log()
 def read_spec(
     path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False, equalities: bool = False
 ) -> mujoco.MjSpec:
@@ -174,12 +176,6 @@ def _rename_world(root: ElementTree.Element) -> None:
     for end in [*root.findall("joint/parent"), *root.findall("joint/child")] if moved else ():
         if end.get("link") == WORLD:
             end.set("link", name)
-
-
-def unreadable_model(path: Path, error: Exception) -> InputError:
-    """Return an InputError with MuJoCo's message in one line."""
-    reason = re.sub(r",? line \d+$", "", " ".join(str(error).split()))  # a line of the sanitised text, not of the file
-    return InputError(f"{path}: not a model that MuJoCo can read: {reason}")
 
 
 def parse(path: Path, kind: str = "a model that MuJoCo can read") -> ElementTree.Element:

@@ -18,6 +18,7 @@ from htcp_jax.io.parts.point_cloud import load_geometry
 from htcp_jax.io.robots import collada_mesh
 from htcp_jax.io.robots.capsule_fit import Capsule, Triangles
 from htcp_jax.io.robots.frames import frame
+from htcp_jax.io.robots.mujoco_models import delete_all
 
 ENDINGS = ".stl", ".obj", ".ply"
 SIDES = 48  # number of sides of the prism about a cylinder
@@ -68,8 +69,7 @@ class Shapes:
         self._fitaabb = spec.compiler.fitaabb
         self._meshes = {mesh.name: _mesh(mesh) for mesh in spec.meshes}
         self._taken = [(geom, _taken(geom)) for geom in spec.geoms]
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
+        delete_all(spec, spec.meshes)
         self._triangles = cache(self._triangles)
 
     @property
@@ -93,8 +93,8 @@ class Shapes:
             T_mesh_fit, size = self._fit(geom)
             T = T @ T_mesh_fit
         if geom.kind in ("capsule", "sphere"):
-            reach = T[:3, 2] * (size[1] if geom.kind == "capsule" else 0.0)
-            return Shape(name, geom.kind, mesh, Capsule(T[:3, 3] + reach, T[:3, 3] - reach, float(size[0])))
+            half = size[1] if geom.kind == "capsule" else 0.0
+            return Shape(name, geom.kind, mesh, Capsule.along_z(T, size[0], half))
         return Shape(name, geom.kind, _moved_triangles(T, _SOLIDS[geom.kind](size)), None)
 
     def mesh(self, geom: Geom) -> Triangles:

@@ -11,16 +11,16 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots.chain import FEWEST_JOINTS, SLIDE
 from htcp_jax.io.robots.fixed_joints import followers
-from htcp_jax.io.robots.frames import frame, joint_name
-from htcp_jax.io.robots.model_file import FEWEST_JOINTS, upwards
+from htcp_jax.io.robots.frames import site_frame
+from htcp_jax.io.robots.mujoco_models import joint_name, joints_of, upwards
+from htcp_jax.io.robots.remarks import MOST_NAMED, listed
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence
-MOST_NAMED = 12  # maximum number of candidates in a message
 # Names of a gripper's joints and of the bodies that they move. "gripper" is missing: a wrist often moves such a body.
 JAW_JOINT = re.compile("finger|jaw|gripper|knuckle|thumb", re.IGNORECASE)
 JAW_BODY = re.compile("finger|jaw|knuckle|thumb", re.IGNORECASE)
-_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 class Tip(NamedTuple):
@@ -72,14 +72,12 @@ def _tips(model: mujoco.MjModel, bodies: Sequence[int]) -> dict[str, Tip]:
 
 
 def _site(model: mujoco.MjModel, k: int) -> Tip:
-    T = frame(model.site_pos[k], model.site_quat[k])
-    return Tip(model.site(k).name, int(model.site_bodyid[k]), T)
+    return Tip(model.site(k).name, int(model.site_bodyid[k]), site_frame(model, k))
 
 
 def _joints_to(model: mujoco.MjModel, body: int) -> frozenset[int]:
     """Return the joints from the world to a body, by their indices in the model."""
-    first, count = model.body_jntadr, model.body_jntnum
-    return frozenset(j for b in upwards(model, body) for j in range(first[b], first[b] + count[b]))
+    return frozenset(j for b in upwards(model, body) for j in joints_of(model, b))
 
 
 def _outermost(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
@@ -114,7 +112,7 @@ def other_frames(model: mujoco.MjModel, bodies: Sequence[int], tip: Tip) -> str:
     tips, names = _tips(model, bodies), _tcp_candidates(model, bodies, _outermost(model, bodies))
     tips.pop(tip.name, None)
     far = [name for name in names if name in tips and len(_joints_to(model, tips[name].body)) >= FEWEST_JOINTS]
-    return f"; --tcp may name another frame: {_listed(far)}" if far else ""
+    return f"; --tcp may name another frame: {listed(far)}" if far else ""
 
 
 def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[int]) -> None:
@@ -139,7 +137,7 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
     fix = " ".join(f"--fix {name}=VALUE" for name in moved)
     warnings.warn(
         f"{path}: the TCP {tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
-        f"choose a frame before the jaw with --tcp ({_listed(names)}), or freeze the jaw with {fix}",
+        f"choose a frame before the jaw with --tcp ({listed(names)}), or freeze the jaw with {fix}",
         stacklevel=3,
     )
 
@@ -151,10 +149,6 @@ def _moves_jaw(model: mujoco.MjModel, joint: int) -> bool:
     """
     body, pairs = int(model.jnt_bodyid[joint]), followers(model)
     named = JAW_JOINT.search(model.joint(joint).name) or JAW_BODY.search(model.body(body).name)
-    slides = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == _SLIDE}
+    slides = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == SLIDE}
     beside = {each for each in slides - {body} if model.body_parentid[each] == model.body_parentid[body]}
     return bool(named or joint in {*pairs, *pairs.values()} or (body in slides and beside))
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join([*names[:MOST_NAMED], *(["..."] if len(names) > MOST_NAMED else [])])

@@ -4,8 +4,9 @@ The joints on the chain to the TCP move, and all other joints are frozen. Capsul
 chain begins at the world, or at the link that carries the part.
 """
 
+import itertools
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,30 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import close_fit
-from htcp_jax.io.robots.capsule_fit import (
-    MORE_PIECES,
-    MOST,
-    Capsule,
-    MeshPiece,
-    Triangles,
-    cover_with_capsules,
-    hull_volume,
-)
+from htcp_jax.io.robots import capsule_fit, close_fit
+from htcp_jax.io.robots.capsule_fit import Capsule, MeshPiece, Triangles
+from htcp_jax.io.robots.chain import FEWEST_JOINTS, Chain, chain_between, check_joints, find_link, link_frames
 from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
-from htcp_jax.io.robots.frames import joint_name
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
-from htcp_jax.io.robots.model_file import (
-    FEWEST_JOINTS,
-    Chain,
-    chain_between,
-    check_joints,
-    compile_spec,
-    find_link,
-    link_frames,
-    no_log,
-    upwards,
-)
+from htcp_jax.io.robots.mujoco_models import body_name, compile_spec, delete_all, joint_name, model_name, upwards
 from htcp_jax.io.robots.remarks import OF_IMPORT
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
@@ -76,7 +59,8 @@ class BodyCover(NamedTuple):
         """
         if not self.fitted:
             return np.nan
-        return close_fit.union_volume(list(self.fitted.values())) / hull_volume(self.enclosed.reshape(-1, 3))
+        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3))
+        return close_fit.union_volume(list(self.fitted.values())) / hull
 
     @property
     def excess_m(self) -> float:
@@ -166,8 +150,7 @@ def import_robot(
     values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
     root = 0 if part is None else find_link(model, path, part, _robot_bodies(model, ()), "--part")
-    on_chain = (*upwards(model, tip.body), *upwards(model, root))
-    bodies = _robot_bodies(model, on_chain)
+    bodies = _robot_bodies(model, (*upwards(model, tip.body), *upwards(model, root)))
     omitted = {find_link(model, path, name, bodies, "--omit") for name in omit}
     disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
     moving = [j for j in range(model.njnt) if j not in values]
@@ -175,46 +158,69 @@ def import_robot(
     joints = chain.joints
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
-    own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
-    if not own:
-        remedy = "" if visual else "; --visual encloses visual geometry"
-        kinds = _geom_kinds(geoms) or "none"
-        raise InputError(f"{path}: no shapes to enclose by capsules; geoms of the model: {kinds}{remedy}")
+    own = _enclosed_geoms(model, path, chosen, omitted, geoms, visual)
     hint = other_frames(model, bodies, tip) if root == 0 else ""
-    joint_names = check_joints(model, path, joints, chain, hint, fewest, OF_IMPORT)
+    joint_names = check_joints(model, path, chain, hint, fewest, OF_IMPORT)
     ranges, numbers = limits_of(model, path, joints, limits)
     if root == 0:
         warn_of_jaw(model, path, tip, joints)
     frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
     offset = fix_followers(model, frozen, values)
-    # whatever is unreadable
-    found = {b: [shapes.shape(g, model) for g in own if _body_of(model, g) == b] for b in bodies}
-    names = _Names({model.geom(geom.at).name for geom in own})
-    covers, shaped = {}, [b for b in bodies if found[b]]
-    _warn_of_followers(model, path, joints, frozen, shaped, offset)
-    links = link_frames(model, np.eye(4), chain)[1]
-    for done, b in enumerate(shaped):
-        progress(done, len(shaped))
-        links_after = len(joints) - 1 - links[b][0]
-        covers[b] = _cover(found[b], body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
-    excluded = [geom for geom in chosen if geom not in own]
+    found = _shapes_of_bodies(own, shapes, model)
+    _warn_of_followers(model, path, joints, frozen, found, offset)
+    covers = _covers(found, model, chain, fit, {model.geom(geom.at).name for geom in own}, progress)
     write_ranges(model, path, joints, ranges, numbers)
     return ImportedArm(
         model,
         tip,
         chain,
         joint_names,
-        tuple(joint_name(model, j) for j in frozen if j not in offset),
-        {joint_name(model, j): value for j, value in sorted((values | offset).items())},
-        bodies,
-        covers,
-        tuple(body.id for body in spec.bodies if body.explicitinertial and body.mass > 0 and body.id in bodies),
-        {name: values[sorted(joints)] for name, values in numbers.items()},
-        tuple(f"{model.geom(g.at).name or g.kind} of {body_name(model, _body_of(model, g))}" for g in excluded),
-        visual,
-        tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
-        tuple(disabled),
+        frozen=tuple(joint_name(model, j) for j in frozen if j not in offset),
+        fixed={joint_name(model, j): value for j, value in sorted((values | offset).items())},
+        bodies=bodies,
+        covers=covers,
+        massive=tuple(b.id for b in spec.bodies if b.explicitinertial and b.mass > 0 and b.id in bodies),
+        numbers={name: values[sorted(joints)] for name, values in numbers.items()},
+        excluded=tuple(_described(geom, model) for geom in chosen if geom not in own),
+        visual=visual,
+        shapeless=tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
+        disabled=tuple(disabled),
     )
+
+
+def _enclosed_geoms(
+    model: mujoco.MjModel, path: Path, chosen: list[Geom], omitted: set[int], geoms: list[Geom], visual: bool
+) -> list[Geom]:
+    """Return those of the chosen geoms that are enclosed; raise InputError if there are none."""
+    own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
+    if not own:
+        remedy = "" if visual else "; --visual encloses visual geometry"
+        kinds = ", ".join(sorted({geom.kind for geom in geoms})) or "none"
+        raise InputError(f"{path}: no shapes to enclose by capsules; geoms of the model: {kinds}{remedy}")
+    return own
+
+
+def _shapes_of_bodies(geoms: list[Geom], shapes: Shapes, model: mujoco.MjModel) -> dict[int, list[Shape]]:
+    """Return the shapes of geoms, by the body's index, in the order of the bodies."""
+    bodies = sorted({_body_of(model, geom) for geom in geoms})
+    return {b: [shapes.shape(geom, model) for geom in geoms if _body_of(model, geom) == b] for b in bodies}
+
+
+def _covers(
+    shapes: Mapping[int, list[Shape]],
+    model: mujoco.MjModel,
+    chain: Chain,
+    fit: "_Fit",
+    names: set[str],
+    progress: Callable[[int, int], None],
+) -> dict[int, BodyCover]:
+    """Enclose the shapes of each body in capsules whose names differ from `names`, which is modified."""
+    covers, frames = {}, link_frames(model, np.eye(4), chain)[1]
+    for done, (b, own) in enumerate(shapes.items()):
+        progress(done, len(shapes))
+        links_after = len(chain.joints) - 1 - frames[b][0]
+        covers[b] = _cover(own, body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
+    return covers
 
 
 def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed: Collection[int]) -> Chain:
@@ -236,7 +242,7 @@ def _warn_of_followers(
     path: Path,
     joints: Sequence[int],
     frozen: Sequence[int],
-    shaped: Sequence[int],
+    shaped: Iterable[int],
     offset: Mapping[int, float],
 ) -> None:
     """Warn of frozen joints that follow a moving one and carry shapes, such as the rods of a parallel linkage.
@@ -279,11 +285,9 @@ def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
 
 
 def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
-    with no_log():
-        spec = read_spec(path, meshes=True, visual=visual, contacts=True, equalities=True)
+    spec = read_spec(path, meshes=True, visual=visual, contacts=True, equalities=True)
     spec.compiler.discardvisual = False
-    for each in list(spec.tuples):  # the list in an arm by htcp robot refers to capsules that get other names here
-        spec.delete(each)
+    delete_all(spec, spec.tuples)  # the list in an arm by htcp robot refers to capsules that get other names here
     shapes = Shapes(spec, path)
     return spec, shapes, compile_spec(spec, path)
 
@@ -295,16 +299,6 @@ def chain_text(arm: ImportedArm) -> str:
         link = int(model.jnt_bodyid[j])
         words += [f"-{name}-", body_name(model, int(model.body_parentid[link]) if back else link)]
     return " ".join(words)
-
-
-def model_name(model: mujoco.MjModel) -> str:
-    """Return the model's own name."""
-    return model.names.partition(b"\0")[0].decode(errors="replace")
-
-
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return the body's own name, or body1, body2, ... by its index in the model."""
-    return model.body(body).name or f"body{body}"
 
 
 def _robot_bodies(model: mujoco.MjModel, on_chain: Sequence[int]) -> tuple[int, ...]:
@@ -346,22 +340,16 @@ def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
     return geom.kind in NOT_OF_AN_ARM or (_body_of(model, geom) == 0 and geom.kind not in ROUND)
 
 
-def _geom_kinds(geoms: list[Geom]) -> str:
-    return ", ".join(sorted({geom.kind for geom in geoms}))
+def _described(geom: Geom, model: mujoco.MjModel) -> str:
+    return f"{model.geom(geom.at).name or geom.kind} of {body_name(model, _body_of(model, geom))}"
 
 
-class _Names:
-    """Generator of unique names."""
-
-    def __init__(self, given: set[str]):
-        self._given = given
-
-    def new(self, wish: str) -> str:
-        """Return `wish`, or wish_2, wish_3, ... if that name is taken."""
-        tries = (f"{wish}_{k}" if k > 1 else wish for k in range(1, len(self._given) + 2))
-        name = next(each for each in tries if each not in self._given)
-        self._given.add(name)
-        return name
+def _new_name(wish: str, given: set[str]) -> str:
+    """Return `wish`, or wish_2, wish_3, ... if that name is in `given`, and add it to `given`."""
+    tries = itertools.chain([wish], (f"{wish}_{k}" for k in itertools.count(2)))
+    name = next(each for each in tries if each not in given)
+    given.add(name)
+    return name
 
 
 class _Fit:
@@ -388,23 +376,24 @@ class _Fit:
         return self._known[key]
 
     def _fitted(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
+        most = self._most
         if self._tolerance_m is None:
-            return cover_with_capsules(triangles, self._most or MOST, 0 if self._most else MORE_PIECES)
+            more = 0 if most else capsule_fit.MORE_PIECES
+            return capsule_fit.cover_with_capsules(triangles, most or capsule_fit.MOST, more)
         if close:
-            return close_fit.cover_closely(triangles, self._most or close_fit.MOST_CLOSE, self._tolerance_m)
-        return close_fit.cover_closely(triangles, min(self._most or close_fit.MOST, close_fit.MOST))
+            return close_fit.cover_closely(triangles, most or close_fit.MOST_CLOSE, self._tolerance_m)
+        return close_fit.cover_closely(triangles, min(most or close_fit.MOST, close_fit.MOST))
 
 
-def _cover(shapes: list[Shape], body: str, names: _Names, fit: _Fit, close: bool) -> BodyCover:
-    own = {shape.name or names.new(body): shape.capsule for shape in shapes if shape.capsule is not None}
-    others = [shape for shape in shapes if shape.capsule is None]
-    held, drawn = _all(others), _all([shape for shape in shapes if shape.capsule is not None])
-    pieces = {names.new(body): piece for piece in (fit.pieces(held, close) if others else [])}
+def _cover(shapes: list[Shape], body: str, names: set[str], fit: _Fit, close: bool) -> BodyCover:
+    given, others = ([each for each in shapes if (each.capsule is None) == is_fitted] for is_fitted in (False, True))
+    own = {shape.name or _new_name(body, names): shape.capsule for shape in given}
+    held = _all(others)
+    pieces = {_new_name(body, names): piece for piece in (fit.pieces(held, close) if others else [])}
     hulls = {name: reduced_piece(piece.triangles.reshape(-1, 3)) for name, piece in pieces.items()}
     excess = close_fit.excesses_m(held, [piece.capsule for piece in pieces.values()]) if pieces else []
-    return BodyCover(
-        own, pieces, hulls, dict(zip(pieces, excess, strict=True)), drawn, held, tuple(shape.kind for shape in others)
-    )
+    excesses = dict(zip(pieces, excess, strict=True))
+    return BodyCover(own, pieces, hulls, excesses, _all(given), held, tuple(shape.kind for shape in others))
 
 
 def _all(shapes: list[Shape]) -> Triangles:

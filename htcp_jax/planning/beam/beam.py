@@ -43,7 +43,7 @@ from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, SELF_MOTION, 
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.beam.tree import BeamTree, JointSteps
-from htcp_jax.planning.method import Method
+from htcp_jax.planning.method import Method, WarmUp
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
 
@@ -60,15 +60,17 @@ class BeamSearchMethod(Method):
     description: str
     smooth = True  # motions are smoothed unless the settings disable it
 
-    def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first calls of lane functions, see `Executor.preparing`."""
-        return _calls(problem)
-
-    def further_calls(self, problem: Problem) -> list[tuple]:
-        """Return calls of the lane functions that continue after dead ends."""
-        one = problem.to_plan[:1]
-        inputs, x = problem.inputs(int(one[0]), 0), problem.scenarios.x_start[one]
-        return [(PUSH, inputs, x), (MOVE_TOWARDS, inputs, x, x)] if problem.checkers[0].executor.freedom else []
+    def warm_up(self, problem: Problem) -> WarmUp:
+        """Return one call of each lane function; those that continue after dead ends are for hard targets."""
+        one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
+        inputs, x = problem.inputs(one, 0), problem.scenarios.x_start[one]
+        proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
+        first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof]
+        smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
+        if not problem.checkers[0].executor.freedom:
+            return WarmUp([*first, *smooths])
+        self_motion = SELF_MOTION, inputs, x, zero.astype(np.int32)
+        return WarmUp([*first, self_motion, *smooths], [(PUSH, inputs, x), (MOVE_TOWARDS, inputs, x, x)])
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
@@ -84,16 +86,6 @@ class BeamSearchMethod(Method):
         via_points = ViaPoints.of([row for rows, _ in parts for row in rows], plans.x.shape[2])
         tried = {key: value for _, part in parts for key, value in part.items()}
         return plans._replace(via_points=via_points, dead_ends=dead_ends.DeadEnds.of(tried))
-
-
-def _calls(problem: Problem) -> list[tuple]:
-    """Return one call of each lane function, in the order in which they are needed, see `Executor.preparing`."""
-    one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
-    inputs, x = problem.inputs(int(one[0]), 0), problem.scenarios.x_start[one]
-    proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
-    self_motions = [(SELF_MOTION, inputs, x, zero.astype(np.int32))] if problem.checkers[0].executor.freedom else []
-    smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
-    return [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof, *self_motions, *smooths]
 
 
 class BeamSearch:

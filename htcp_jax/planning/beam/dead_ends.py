@@ -12,6 +12,8 @@ that are extended backwards from the lost target do lead to it. `settings.effort
 configurations used by the searches before.
 """
 
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -57,25 +59,47 @@ class Meeting(NamedTuple):
     row: int  # tree row of the configuration of the search backwards
 
 
+@dataclass
+class Draws:
+    """Configurations drawn after the dead ends of a scenario."""
+
+    rounds: int = 0  # number of rounds of draws so far
+    work: int = 0  # configurations used: draws on the target, and push steps
+    missed: Counter[int] = field(default_factory=Counter)  # target -> draws since one arrived at the target
+    clear: set[int] = field(default_factory=set)  # targets that no proof excludes
+
+
+@dataclass
+class BackwardSearch:
+    """A search backwards from a lost target."""
+
+    joined: int  # the search that it is to be joined to
+    tree_x: dict[int, Float[np.ndarray, "n N"]]  # target -> configurations in the tree of `joined` [rad or m]
+    meetings: list[Meeting] = field(default_factory=list)
+
+
+@dataclass
+class WiderSearch:
+    """A wider search to a lost target."""
+
+    lost: int  # the lost target
+    work: int | None = None  # the work until the search reached it; None if it has not
+
+
 class DeadEnds:
     """Searches that are begun after dead ends, for all scenarios of one tree."""
 
     def __init__(self, problem: Problem, checker: CollisionChecker, searches: Searches, joint_steps: JointSteps | None):
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
         self._joint_steps = joint_steps
-        self._rounds: dict[int, int] = {}  # scenario -> number of rounds of draws so far
-        self._sampled_on: dict[int, int] = {}  # scenario -> configurations used: draws on the target, and push steps
-        self._missed: dict[tuple[int, int], int] = {}  # (scenario, target) -> draws since one arrived at the target
-        self._open: dict[int, tuple[int, dict[int, np.ndarray]]] = {}  # search backwards -> joined search, its tree's x
-        self._meetings: dict[int, list[Meeting]] = {}
-        self._wider: dict[int, int] = {}  # wider search -> lost target, until the search reaches it
-        self._reached: dict[int, int] = {}  # wider search -> its work until it reached the lost target
-        self._clear: set[tuple[int, int]] = set()  # scenarios and targets that no proof excludes
+        self._draws: defaultdict[int, Draws] = defaultdict(Draws)  # by scenario
+        self._backwards: dict[int, BackwardSearch] = {}  # by search, until it ends
+        self._wider: dict[int, WiderSearch] = {}  # by search
         self.tried: dict[tuple[int, int], Tried] = {}  # (scenario, lost target) -> attempts
 
     def has_begun(self, scenario: int) -> bool:
         """Return True if searches were begun after a dead end of the scenario."""
-        return scenario in self._rounds
+        return self._draws[scenario].rounds > 0
 
     def is_excluded(self, ended: int) -> bool:
         """Return True if a search has ended at a target that is proven to have no clear configuration.
@@ -90,7 +114,7 @@ class DeadEnds:
         lost = int(columns.target[best]) + 1
         target = int(problem.scenarios.on_path[s]) if self._leaves_lines(s, lost) else lost
         is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
-        if is_found or lost == 0 or (s, target) in self._clear:
+        if is_found or lost == 0 or target in self._draws[s].clear:
             return False
         inputs, executor = problem.inputs(s, target), self._checker.executor
         (reason,) = tool_cells.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
@@ -98,7 +122,7 @@ class DeadEnds:
         if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS, tool).all():
             reason = Exclusion.TOOL
         if reason == Exclusion.NONE:
-            self._clear.add((s, target))
+            self._draws[s].clear.add(target)
             return False
         self.tried[s, target] = Tried(excluded=Exclusion(reason))
         return True
@@ -115,8 +139,8 @@ class DeadEnds:
         columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
         s, scenarios = int(columns.scenario[ended]), problem.scenarios
         last = int(scenarios.count[s]) - 1
-        if ended in self._open:
-            lost = int(columns.target[self._open[ended][0]]) + 1
+        if ended in self._backwards:
+            lost = int(columns.target[self._backwards[ended].joined]) + 1
             self._count(s, lost, configurations=int(columns.work[ended]))
             if rows := self._grafted(ended):
                 self._count(s, lost, connected=len(rows))
@@ -124,24 +148,24 @@ class DeadEnds:
                 return True
         elif columns.status[ended] == NONE:
             return False
-        if ended in self._wider:
-            self._count(s, self._wider[ended], configurations=int(columns.work[ended]))
+        if (wider := self._wider.get(ended)) is not None and wider.work is None:
+            self._count(s, wider.lost, configurations=int(columns.work[ended]))
         best = self._farthest(chain)
         lost, on_path = int(columns.target[best]) + 1, int(scenarios.on_path[s])
         off_path = self._leaves_lines(s, lost)
         tree = self._ancestors(best)
         at = {int(t): self._tree.x[tree[self._tree.target[tree] == t]] for t in range(lost)}
-        target = on_path if off_path else lost
-        while lost > 0 and self._left(chain) > 0 and self._missed.get((s, target), 0) < MOST_MISSED:
-            before = self._sampled_on.get(s, 0)
+        target, draws = on_path if off_path else lost, self._draws[s]
+        while lost > 0 and self._left(chain) > 0 and draws.missed[target] < MOST_MISSED:
+            before = draws.work
             anywhere = off_path or self._may_arrive(s, best)
             roots = self._sampled(s, target, None if anywhere else at[lost - 1])
-            self._count(s, lost, configurations=self._sampled_on[s] - before, found=len(roots))
+            self._count(s, lost, configurations=draws.work - before, found=len(roots))
             problem.progress(0, 0)  # nothing new, but the search goes on
             if len(roots):
                 self._count(s, lost, searches=1)
                 if not off_path:
-                    self._open[len(columns.target)] = best, at
+                    self._backwards[len(columns.target)] = BackwardSearch(best, at)
                 first = last if off_path else self._first(best)
                 self._searches.begin([s], [first], [roots], ended, backwards=not off_path)
                 return True
@@ -159,7 +183,7 @@ class DeadEnds:
         target = self._tree.target[tree]
         roots = tree[target == max(lost - BACK, int(target.min()))]
         self._count(s, lost, wider=1)
-        self._wider[len(self._searches.columns.target)] = lost
+        self._wider[len(self._searches.columns.target)] = WiderSearch(lost)
         last = int(self._problem.scenarios.count[s]) - 1
         self._searches.begin([s], [last], [roots], chain[0], width=WIDER)
         return True
@@ -171,21 +195,23 @@ class DeadEnds:
         """
         columns, pairs = self._searches.columns, []
         stop = np.zeros(len(columns.target), bool)
-        for search in self._open:
+        for search, backwards in self._backwards.items():
             if not self._searches.going[search]:
                 continue
-            tree_x = self._open[search][1].pop(int(columns.target[search]), None)  # pairs are tried once
+            tree_x = backwards.tree_x.pop(int(columns.target[search]), None)  # pairs are tried once
             pairs += [] if tree_x is None else self._nearest(search, tree_x)
             stop[search] = self._left(self._searches.chain(search)) <= 0
-        for search, lost in list(self._wider.items()):
-            if columns.target[search] >= lost:
-                columns.width[search], self._reached[search] = 1, int(columns.work[search])
+        for search, wider in self._wider.items():
+            if wider.work is not None:
+                continue
+            if columns.target[search] >= wider.lost:
+                columns.width[search], wider.work = 1, int(columns.work[search])
                 s = int(columns.scenario[search])
-                self._count(s, self._wider.pop(search), configurations=self._reached[search], connected=1)
+                self._count(s, wider.lost, configurations=wider.work, connected=1)
             elif self._searches.going[search]:
                 stop[search] = self._left(self._searches.chain(search), share=1.0) <= 0
         for search, meeting in self._joined(pairs):
-            self._meetings.setdefault(search, []).append(meeting)
+            self._backwards[search].meetings.append(meeting)
             stop[search] = True
         self._searches.stop(stop)
 
@@ -198,8 +224,9 @@ class DeadEnds:
         """
         columns, s = self._searches.columns, int(self._searches.columns.scenario[chain[0]])
         forwards = columns.step[chain] > 0
-        spent = self._sampled_on.get(s, 0) + columns.work[chain][~forwards].sum()
-        wider = sum(int(columns.work[k]) if k in self._wider else self._reached.get(k, 0) for k in chain)
+        spent = self._draws[s].work + columns.work[chain][~forwards].sum()
+        known = ((int(columns.work[k]), self._wider[k].work) for k in chain if k in self._wider)
+        wider = sum(so_far if work is None else work for so_far, work in known)
         if share is None:
             share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
         before = columns.work[chain][forwards].sum() - wider
@@ -232,23 +259,22 @@ class DeadEnds:
         They are far apart. Draws are uniform within the joint limits or, if `near` is given, around its configurations
         [rad or m].
         """
-        problem, checker = self._problem, self._checker
-        first = FIRST_ROUND + self._rounds.get(s, 0)
+        problem, checker, draws = self._problem, self._checker, self._draws[s]
+        first = FIRST_ROUND + draws.rounds
         rounds = range(first, first + (ROUNDS if near is None else 1))
         drawn = np.concatenate([transfers.drawn_configurations(problem, checker, s, k) for k in rounds])
         if near is not None:
             rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), first])
             drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
             drawn = np.clip(drawn, *checker.executor.limits)
-        self._rounds[s] = self._rounds.get(s, 0) + len(rounds)
+        draws.rounds += len(rounds)
         here = transfers.projected(problem, checker, s, target, drawn)
         reached = np.flatnonzero(problem.task.reached(here.residual))
-        self._missed[s, target] = 0 if len(reached) else self._missed.get((s, target), 0) + len(drawn)
+        draws.missed[target] = 0 if len(reached) else draws.missed[target] + len(drawn)
         order = reached[np.argsort(-here.clearance[reached], kind="stable")]
         apart = order[configurations.first_apart(here.x[order], PUSHED, APART_RAD)]
         pushes = len(apart) * problem.settings.max_null_space_steps
-        spent = max(len(reached), len(drawn) // FEW) + pushes
-        self._sampled_on[s] = self._sampled_on.get(s, 0) + spent
+        draws.work += max(len(reached), len(drawn) // FEW) + pushes
         inputs = problem.inputs(s, target, len(apart))
         pushed = checker.executor(stages.PUSH, inputs, here.x[apart]) if len(apart) else here
         at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None) if len(apart) else here
@@ -295,9 +321,9 @@ class DeadEnds:
 
         There is one row for each configuration at the lost target that is connected.
         """
-        columns, (best, _) = self._searches.columns, self._open.pop(search)
+        columns, backwards = self._searches.columns, self._backwards.pop(search)
+        best, meetings = backwards.joined, backwards.meetings
         s, tree, found = int(columns.scenario[search]), self._ancestors(best), {}
-        meetings = self._meetings.pop(search, [])
         if not meetings and columns.status[search] == NONE and self._may_arrive(s, best):
             meetings = [Meeting(None, None, row) for row in self._searches.beam_of(search)]
         for begin, between, row in meetings:

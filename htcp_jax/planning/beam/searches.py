@@ -91,12 +91,10 @@ class Searches:
         first = len(self.going)
         held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
         target = self.tree.target[[own[0] for own in roots]]
-        new = SearchColumns(
-            np.array(scenario),
-            target,
-            np.array(last),
-            *(np.full(count, value) for value in (-1 if backwards else 1, earlier, 0, draws, 0, width, NONE, NONE)),
-        )
+        equal = {"step": -1 if backwards else 1, "earlier": earlier, "rounds": 0, "draws": draws, "work": 0}
+        equal |= {"width": width, "failure": NONE, "status": NONE}
+        columns = {name: np.full(count, value) for name, value in equal.items()}
+        new = SearchColumns(scenario=np.array(scenario), target=target, last=np.array(last), **columns)
         self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
         goes_on = np.append(np.zeros(first, bool), target != last)  # False: already at the last target
         self.beam = tables.concatenate([self.beam, held])

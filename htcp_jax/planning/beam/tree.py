@@ -110,9 +110,7 @@ class BeamTree(configurations.Tree):
         kept_rows, moved = self.with_ancestors(rows), np.full(self._count, -1)
         moved[kept_rows] = np.arange(len(kept_rows))
         kept = tables.gather(self._table, kept_rows)
-        kept.parent[:] = np.where(
-            kept.parent == configurations.NO_PARENT, configurations.NO_PARENT, moved[kept.parent]
-        )
+        kept.parent[:] = np.where(kept.parent == configurations.NO_PARENT, configurations.NO_PARENT, moved[kept.parent])
         self._table, self._count = kept, len(kept.parent)
         self._kept = max(LEAST, self._count)
         return moved

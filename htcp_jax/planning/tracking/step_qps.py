@@ -8,12 +8,12 @@ import numpy as np
 from htcp_jax import solvers
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Plans, Problem
-from htcp_jax.planning.method import Method
+from htcp_jax.planning.method import Method, WarmUp
 from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
-from htcp_jax.planning.tracking.first_calls import first_calls, further_calls
 from htcp_jax.planning.tracking.lanes import Work
 from htcp_jax.planning.tracking.stages import Recoveries
+from htcp_jax.planning.tracking.warm_up import warm_up_calls
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import step_qp
 
@@ -26,13 +26,9 @@ class StepQPs(Recoveries, Method):
     title: str  # column heading in tables
     description: str  # short description
 
-    def first_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first calls of lane functions, see `Executor.preparing`."""
-        return first_calls(problem)
-
-    def further_calls(self, problem: Problem) -> list[tuple]:
-        """Return the first calls of the recoveries' lane functions."""
-        return further_calls(problem, self)
+    def warm_up(self, problem: Problem) -> WarmUp:
+        """Return one call of each lane function; those of the recoveries are for hard targets."""
+        return warm_up_calls(problem, self)
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios with one engine per thread; engines write into different rows of the plans.

@@ -93,11 +93,6 @@ class Viewer:
         return self._stage
 
     @property
-    def plots(self) -> Plots:
-        """The plots of the panel."""
-        return self._plots
-
-    @property
     def facts(self) -> str:
         """Text on the displayed target, in Markdown."""
         with self._lock:

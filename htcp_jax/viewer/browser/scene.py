@@ -155,11 +155,6 @@ class BrowserScene:
                 node.wxyz, node.position = wxyz, position
 
     @property
-    def arm_positions(self) -> Float[np.ndarray, "K1 3"]:
-        """Centres of the capsules and of the bare tip, and origins of the convex pieces' links, as drawn."""
-        return np.array([node.position for node in self._arm])
-
-    @property
     def arm_colours(self) -> list[tuple[int, int, int]]:
         """Colours of the capsules and of the bare tip, see `compensated`."""
         return [tuple(node.color) for node in self._arm]
@@ -168,11 +163,6 @@ class BrowserScene:
     def label(self) -> str:
         """Text at the pair of nearest points."""
         return self._label.text
-
-    @property
-    def mark_labels(self) -> list[str]:
-        """Texts at the dwells, and at the minimum of the guaranteed clearance."""
-        return [node.text for node in self._marks if isinstance(node, viser.LabelHandle)]
 
     def cut(self, surface: surfaces.Surface, near: Vector, size_m: float) -> None:
         """Draw the points of the cloud that remain after a cut.

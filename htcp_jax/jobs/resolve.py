@@ -1,0 +1,54 @@
+"""Values of a job that depend on its robot's file, which is read after the job."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from htcp_jax.errors import InputError
+from htcp_jax.model import Robot
+from htcp_jax.spec import PlanConfig
+
+
+def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") -> PlanConfig:
+    """Return the job with the weights of all joints, see `with_weights`.
+
+    Args:
+        job: The job.
+        robot: The robot from `build.robot_of`.
+        source: Name of the job, for messages.
+
+    Raises:
+        InputError: See `check_start`.
+    """
+    check_start(job, robot, source)
+    return with_weights(job, len(robot.joint_names))
+
+
+def check_start(job: PlanConfig, robot: Robot, source: str) -> None:
+    """Check that a job has a start.
+
+    Args:
+        job: The job.
+        robot: Its robot.
+        source: Name of the job, for messages.
+
+    Raises:
+        InputError: If the robot is not the GP50 and start_rad is missing.
+    """
+    if job.has_own_arm and job.start_rad == ():
+        names = robot.joint_names
+        raise InputError(
+            f"{source}: robot.model is {Path(job.robot.model).name}, so start_rad must be given: "
+            f"{len(names)} joint positions ({', '.join(names)}), or auto"
+        )
+
+
+def with_weights(job: PlanConfig, joints: int) -> PlanConfig:
+    """Return the job with a weight of 1 for each joint if it has no weights and the robot is not the GP50.
+
+    Args:
+        job: The job.
+        joints: Number of the robot's joints.
+    """
+    if job.settings.q_weights or not job.has_own_arm:
+        return job
+    return job.model_copy(update={"settings": replace(job.settings, q_weights=(1.0,) * joints)})

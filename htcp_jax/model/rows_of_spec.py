@@ -1,0 +1,312 @@
+"""Conversion of a job's task rows to the planner's rows, and the rows' goals at every target.
+
+`row_of` and `goals_of` have one implementation for each class of built-in rows (`spec.task_list`). All other classes
+are of other packages (`spec.task_row_kind.TaskRowKind`) and become a `GivenRow`.
+"""
+
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.model.arm_features import axis_of, frame_of, point_of
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
+from htcp_jax.model.robot import ArmFrame, Robot
+from htcp_jax.model.rotations import turned_directions
+from htcp_jax.model.row_bounds import RateBound
+from htcp_jax.model.task_rows import SLACK, Feature, Row, TaskPoint, mixed
+from htcp_jax.model.workpiece import Workpiece
+from htcp_jax.numerics import safe_norm
+from htcp_jax.spec import (
+    AIM_M,
+    AIM_RAD,
+    ON_PATH,
+    AxisRow,
+    BuiltInRow,
+    OrientationRow,
+    PointRow,
+    Slot,
+    TaskRowKind,
+    Template,
+    numbers_of,
+    template_of,
+)
+from htcp_jax.types import Array, Scalar
+
+
+class PlacedPath(NamedTuple):
+    """A workpiece's pose and its path in the world."""
+
+    rotate: Float[np.ndarray, "3 3"]  # rotation of the workpiece
+    translate: Float[np.ndarray, "3"]  # its translation [m]
+    path: Float[np.ndarray, "T 3"]  # points of the path in the world [m]
+    workpiece: Workpiece
+
+    def along(self, name: str) -> Float[np.ndarray, "T 3"]:
+        """Return the path's points [m], tangents or normals in the world, by the name in `ON_PATH`."""
+        return self.path if name == "place" else getattr(self.workpiece, ON_PATH[name]) @ self.rotate.T
+
+    def in_world(self, spec: BuiltInRow, vector: Any, is_place: bool = False) -> Float[np.ndarray, "3"]:
+        """Return a position [m] or direction in the world, from its numbers in a row, which are in the row's frame."""
+        if spec.frame != "workpiece":
+            return np.array(vector)
+        return self.rotate @ np.array(vector) + (self.translate if is_place else 0.0)
+
+
+@singledispatch
+def row_of(spec: TaskRowKind, robot: Robot) -> Row:
+    """Return the planner's row for a row of a task and a robot.
+
+    Args:
+        spec: The row as written in a job.
+        robot: The robot.
+
+    Raises:
+        InputError: For a name that the robot lacks; for a position in the world if the part moves; and for a class with
+            an invalid `along`, or a wrong number of errors or slacks.
+    """
+    if unknown := [name for name in spec.along if name not in ON_PATH]:
+        raise InputError(f"along of {spec.name} has {unknown[0]!r}; valid: {', '.join(ON_PATH)}")
+    template = template_of(spec)
+    own = tuple((name, Slot((3,))) for name in spec.along)
+    template = Template(template.kind, (*template.fields, *own))
+    features = tuple(spec.features(robot))
+    for name in ("equalities", "inequalities"):
+        given, what = getattr(spec, name), "error" if name == "equalities" else "slack"
+        found = np.shape(_evaluated(template, what, features))
+        if found != (given,):
+            raise InputError(
+                f"{what} of {spec.name} returns the shape {found}; with {name} = {given} it must be ({given},)"
+            )
+    if not spec.equalities + spec.inequalities:
+        raise InputError(f"{spec.name}: `equalities` and `inequalities` are both 0; set one of them")
+    return GivenRow(template, features)
+
+
+@row_of.register
+def _point_row(spec: PointRow, robot: Robot) -> Row:
+    if robot.part_moves and spec.is_in_world:
+        raise InputError("frame is world, but the part moves; valid for a position: workpiece, path")
+    link, offset, *_ = point_of(robot, spec.point, spec.offset_m)
+    band = spec.limit is not None
+    if spec.is_on_surface:
+        return PointAlong(link, offset, 1 if spec.on == "plane" else 2, band)
+    of_world = (spec.frame == "world" or spec.axes == "xyz") and not band  # all frames are then equivalent
+    if of_world and not (link is None and any(offset)):
+        return TaskPoint(link, offset, tuple("xyz".index(axis) for axis in spec.axes))
+    return PointAlong(link, offset, len(spec.axes), band)
+
+
+@row_of.register
+def _axis_row(spec: AxisRow, robot: Robot) -> Row:
+    if robot.part_moves and spec.is_in_world and spec.looks_at_m is not None:
+        raise InputError("frame is world, but the part moves; valid for a position: workpiece")
+    cone = spec.limit is not None
+    if spec.is_of_path:  # the same angle, written as a world direction that must point along the path's direction
+        direction = np.array(spec.towards)
+        direction = direction / np.linalg.norm(direction) @ np.array(robot.world.columns)
+        return AxisTowards(robot.world.link, tuple(direction.tolist()), cone=cone)
+    axis = axis_of(robot, spec.axis)
+    looks_from = None if spec.looks_at_m is None else frame_of(robot, spec.axis_of[0]).origin_m
+    return AxisTowards(axis.link, axis.vector, looks_from, cone, _seen_from(spec, robot))
+
+
+@row_of.register
+def _orientation_row(spec: OrientationRow, robot: Robot) -> Row:
+    frame = frame_of(robot, spec.of)
+    return FrameOrientation(frame.link, frame.columns, spec.limit is not None, _seen_from(spec, robot))
+
+
+def _seen_from(spec: AxisRow | OrientationRow, robot: Robot) -> ArmFrame | None:
+    return robot.world if robot.part_moves and spec.is_in_world else None
+
+
+@singledispatch
+def goals_of(spec: TaskRowKind, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    """Return the goals of a row at the T points of a path [m, rad, or of length 1].
+
+    Args:
+        spec: The row as written in a job.
+        row: The planner's row, from `row_of`.
+        placed: The path.
+    """
+    count = len(placed.path)  # the offsets, the last columns, are 0 on the path, see `GivenRow`
+    columns = [np.tile(numbers_of([spec]), (count, 1)), *map(placed.along, spec.along)]
+    return np.column_stack([*columns, np.zeros((count, spec.equalities + spec.inequalities))])
+
+
+@goals_of.register
+def _point_goals(spec: PointRow, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    count, places = len(placed.path), placed.path
+    if not spec.follows_path:
+        place = placed.in_world(spec, spec.through_m if spec.is_on_surface else spec.on, is_place=True)
+        places = np.tile(place, (count, 1))
+    if isinstance(row, TaskPoint):
+        return places[:, list(row.axes)]
+    across = _across(spec, placed)
+    offsets = np.einsum("tkj,tj->tk", across, places)
+    goals = np.concatenate([across, offsets[:, :, None]], axis=2).reshape(count, -1)
+    return _with_limit(goals, spec)
+
+
+@goals_of.register
+def _axis_goals(spec: AxisRow, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    if (name := spec.along_path) is not None:
+        own = placed.workpiece.normals if name.endswith("normal") else placed.workpiece.tangents
+        directions = (-1.0 if name.startswith("-") else 1.0) * own @ placed.rotate.T
+    elif spec.looks_at_m is not None:  # the place to point at [m]
+        directions = np.tile(placed.in_world(spec, spec.looks_at_m, is_place=True), (len(placed.path), 1))
+    else:
+        direction = placed.in_world(spec, spec.towards)
+        directions = np.tile(direction / np.linalg.norm(direction), (len(placed.path), 1))
+    return _with_limit(directions, spec)
+
+
+@goals_of.register
+def _orientation_goals(spec: OrientationRow, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    if spec.orientation == "path":
+        rotations = placed.rotate @ placed.workpiece.frames.rotations
+    else:
+        own = scipy.spatial.transform.Rotation.from_quat(spec.orientation, scalar_first=True).as_matrix()
+        rotations = np.tile(placed.rotate @ own if spec.frame == "workpiece" else own, (len(placed.path), 1, 1))
+    return _with_limit(rotations.reshape(len(placed.path), 9), spec)
+
+
+def drawn_goal(spec: TaskRowKind, row: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
+    """Return a random goal of a row, for checks of the task's rank.
+
+    For a class of another package: the row's own numbers, with random vectors for the path's place and directions.
+    """
+    if isinstance(spec, BuiltInRow):
+        return row.drawn(rng)
+    random = rng.normal(size=(len(spec.along), 3))
+    random /= np.linalg.norm(random, axis=1, keepdims=True)
+    return np.concatenate([numbers_of([spec]), random.ravel(), np.zeros(spec.equalities + spec.inequalities)])
+
+
+@dataclass(frozen=True)
+class GivenRow(Row):
+    """A row of a `TaskRowKind`.
+
+    A goal is the kind's numbers, then one offset per error and slack. The offsets are 0 on the path. On the approach
+    they begin at values by which the start satisfies the row, and decrease to 0.
+    """
+
+    template: Template
+    features: tuple[Feature, ...] = ()
+
+    @property
+    def kind(self) -> type[TaskRowKind]:
+        """Class of the row's kind."""
+        return self.template.kind
+
+    @property
+    def angular(self) -> bool:
+        """True if errors and slacks are angles."""
+        return self.kind.angular
+
+    @property
+    def sampled(self) -> bool:
+        """True if the kind has no bound between two configurations."""
+        return self.kind.rate is None
+
+    @property
+    def equalities(self) -> int:
+        """Number of equations."""
+        return self.kind.equalities
+
+    @property
+    def inequalities(self) -> int:
+        """Number of inequalities."""
+        return self.kind.inequalities
+
+    @property
+    def numbers(self) -> int:
+        """Number of coordinates of a goal."""
+        return self.template.size + self.equalities + self.inequalities
+
+    def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
+        """Return the kind's error minus the goal's error offset."""
+        first = self.template.size
+        return self._own(goal).error(value) - goal[first : first + self.equalities]
+
+    def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """Return the kind's slack plus the goal's slack offset."""
+        return self._own(goal).slack(value) + goal[self.template.size + self.equalities :]
+
+    def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
+        """Return the distance inside the inequalities at which a step aims [m or rad]."""
+        return self._own(goal).aim(value)
+
+    def between(self, goals: Float[Array, "2 g"], tolerance_m: float, tolerance_rad: float) -> RateBound:
+        """Return the allowed region: satisfied by goal 0, by goal 1, or by their mean."""
+        tolerance = tolerance_rad if self.angular else tolerance_m
+
+        def by(goal: Float[Array, "g"], value: Float[Array, "v"]) -> Scalar:
+            off = tolerance - safe_norm(self.error(value, goal)) if self.equalities else jnp.inf
+            return jnp.minimum(off, jnp.min(self.slack(value, goal), initial=jnp.inf) + tolerance)
+
+        def slack(value: Float[Array, "v"]) -> Scalar:
+            return jnp.max(jnp.stack([by(goal, value) for goal in (goals[0], 0.5 * (goals[0] + goals[1]), goals[1])]))
+
+        return RateBound(slack, tuple(feature.is_direction for feature in self.features), self.kind.rate)
+
+    def eased(self, start, first, share, places):
+        """Return the first goal with offsets that decrease to 0; with the first offsets the start satisfies the row."""
+        value, goal = jnp.asarray(start), jnp.asarray(first)
+        error, slack = np.asarray(self.error(value, goal)), np.asarray(self.slack(value, goal))
+        short = np.where(slack < 0, 2 * (AIM_RAD if self.angular else AIM_M) - slack, 0.0) + SLACK
+        goals, first_own = np.tile(first, (len(share), 1)), self.template.size
+        goals[:, first_own:] += (1.0 - share)[:, None] * np.append(error, short)
+        return goals
+
+    def interpolated(self, goals, share, places=None):
+        """Interpolate the goals' numbers linearly, and tangents and normals by rotation."""
+        found, first = mixed(goals, share), 0
+        for name, value in self.template.fields:
+            if isinstance(value, Slot):
+                own = slice(first, first + int(np.prod(value.shape)))
+                if name in ON_PATH and name != "place":
+                    found[:, own] = turned_directions(goals[:, 0, own], goals[:, 1, own], share)
+                first = own.stop
+        return found
+
+    def _own(self, goal: Float[Array, "g"]) -> TaskRowKind:
+        return self.template.with_numbers(goal[: self.template.size])
+
+
+def _evaluated(template: Template, what: str, features: tuple[Feature, ...]) -> np.ndarray:
+    """Evaluate a kind's error or slack at arbitrary values, to determine its shape."""
+    size = sum(len(feature.rows) for feature in features)
+    return np.asarray(getattr(template.with_numbers(jnp.ones(template.size)), what)(jnp.full(size, 0.5)))
+
+
+def _across(spec: PointRow, placed: PlacedPath) -> Float[np.ndarray, "T k 3"]:
+    """Return the k directions in which a point is constrained, at the T points of the path."""
+    count = len(placed.path)
+    if spec.on == "plane":
+        normal = placed.in_world(spec, spec.normal)
+        return np.tile(normal / np.linalg.norm(normal), (count, 1, 1))
+    if spec.on == "line":
+        along = placed.in_world(spec, spec.direction)
+        return np.tile(np.linalg.svd(along[None])[2][1:], (count, 1, 1))
+    if spec.frame == "path":
+        x, z = placed.along("tangent"), placed.along("normal")
+        x = x - (x * z).sum(axis=1, keepdims=True) * z
+        x = x / np.linalg.norm(x, axis=1, keepdims=True)
+        axes = np.stack([x, np.cross(z, x), z], axis=1)
+    else:
+        axes = np.tile(placed.rotate.T if spec.frame == "workpiece" else np.eye(3), (count, 1, 1))
+    return axes[:, ["xyz".index(axis) for axis in spec.axes]]
+
+
+def _with_limit(goals: Float[np.ndarray, "T g"], spec: BuiltInRow) -> Float[np.ndarray, "T h"]:
+    """Return the goals of an inequality with a last column, its limit [m or rad]; those of an equality unchanged."""
+    if spec.limit is None:
+        return goals
+    return np.column_stack([goals, np.full(len(goals), np.deg2rad(spec.limit) if spec.angular else spec.limit)])
