@@ -15,8 +15,8 @@ from .motion.plans import Plans
 from .motion.problem import Problem
 from .numerics import capsule_point_distance, null_basis
 from .placement.place import place
+from .planning.extensions import register
 from .planning.method import Method
-from .planning.registry import register
 from .planning.tracking.null_space import null_space_objective
 from .report import charts
 from .report.reach_study import reach_study

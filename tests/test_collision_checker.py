@@ -224,7 +224,7 @@ class Spy(registry.Method):
 
 
 def planned_by(spy, scenarios):
-    registry.register(spy)
+    registry.METHODS.register(spy)
     try:
         return plan(in_duct(scenarios, threads=1), "spy")
     finally:

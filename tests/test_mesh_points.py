@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import mesh_points, triangles
+from htcp_jax.model import mesh_points, surface
 from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh
-from htcp_jax.model.triangles import area, longest_edge_first, pieces
+from htcp_jax.model.surface import area, longest_edge_first, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),
@@ -116,7 +116,7 @@ def test_what_cannot_be_sampled_is_one_line(options, words):
 
 
 def test_a_refusal_names_the_body_that_requires_the_spacing(monkeypatch):
-    monkeypatch.setattr(triangles, "MOST", 400_000)  # which is reached sooner
+    monkeypatch.setattr(surface, "MOST_POINTS", 400_000)  # which is reached sooner
     slivers = np.array([[[0, 0, y], [30, 0, y], [30, 1e-3, y]] for y in np.linspace(0, 1, 3000)])
     words = (
         r"points at a spacing of 0.0173 m, as fine as capsule tip with a radius of 1 mm requires; increase workpiece.m"

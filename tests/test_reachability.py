@@ -12,9 +12,8 @@ import toy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.clearance import clearance
-from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, wrist
 from htcp_jax.clearance.proof.branch_exclusion import BRANCHES, branch, has_branches
-from htcp_jax.clearance.proof.exclusion import Bodies
+from htcp_jax.clearance.proof.exclusion import Bodies, arm_cell, has_wrist, wrist
 from htcp_jax.cli import main
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather

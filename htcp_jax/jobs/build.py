@@ -22,7 +22,6 @@ from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, scenario_setup, surface
 from htcp_jax.model import robot as robots
-from htcp_jax.model import triangles as mesh_triangles
 from htcp_jax.model import workpiece as workpieces
 from htcp_jax.spec import (
     SEAMS,
@@ -147,7 +146,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         warnings.warn(
             f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
             f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm; set a smaller "
-            f"{mesh_triangles.KEY}",
+            f"{surface.KEY}",
             UserWarning,
             stacklevel=2,
         )

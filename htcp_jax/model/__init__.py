@@ -9,8 +9,8 @@ target. `task_rows` has the base class of a task's rows, `built_in_rows` their k
 the rows of a job, which are data in package `spec`. `goals` makes the task and its goals at each target. `row_bounds`
 has the allowed regions of a row between two targets.
 
-`rotations`, `surface`, `triangles`, `mesh_points` and `duct` are geometry: rotations, the surface of a cloud, the
-triangles of a mesh and points on them, the generated duct. `arrays` checks points that a caller passes in. `robot`,
+`rotations`, `surface`, `mesh_points` and `duct` are geometry: rotations, the surface of a cloud or a mesh, points on a
+mesh, the generated duct. `arrays` checks points that a caller passes in. `robot`,
 `scenario`, `task`, `fixture` and `workpiece` have the types above and the functions that change them;
 `scenario_setup.make_scenario` builds a scenario.
 

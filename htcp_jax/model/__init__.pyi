@@ -15,7 +15,6 @@ from . import (
     surface,
     task,
     task_rows,
-    triangles,
     workpiece,
 )
 from .convex_piece import BodyPieces, ConvexPiece
@@ -52,6 +51,5 @@ __all__ = [
     "surface",
     "task",
     "task_rows",
-    "triangles",
     "workpiece",
 ]

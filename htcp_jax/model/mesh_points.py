@@ -22,7 +22,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.model import kinematics
 from htcp_jax.model.robot import Robot, capsule_label
-from htcp_jax.model.triangles import (
+from htcp_jax.model.surface import (
     Corners,
     Triangles,
     area,

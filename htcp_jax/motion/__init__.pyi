@@ -2,7 +2,6 @@ from . import (
     arm_poses,
     collision_checker,
     configurations,
-    dead_ends,
     home,
     lane_inputs,
     manipulability,
@@ -17,15 +16,14 @@ from . import (
     transfers,
 )
 from .collision_checker import CollisionChecker
-from .dead_ends import Tried
-from .execution import Execution
 from .motion import Motion
 from .plans import Plans
-from .problem import Problem
-from .via_points import ViaPoints
+from .problem import Execution, Problem
+from .sparse_columns import DeadEnds, Tried, ViaPoints
 
 __all__ = [
     "CollisionChecker",
+    "DeadEnds",
     "Execution",
     "Motion",
     "Plans",
@@ -35,7 +33,6 @@ __all__ = [
     "arm_poses",
     "collision_checker",
     "configurations",
-    "dead_ends",
     "home",
     "lane_inputs",
     "manipulability",

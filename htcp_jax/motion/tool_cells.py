@@ -12,7 +12,7 @@ collides or violates a joint limit; a cell is excluded if it has no branch left 
 
 For other arms with a wrist there is a second cover: boxes of values of the joints before the wrist. At each step the
 cells of the smaller cover are halved. A cell is removed if it certainly collides, or if its wrist position cannot
-coincide with that of any cell in the other cover (`arm_exclusion`). An arm without a wrist has only the first cover.
+coincide with that of any cell in the other cover (`exclusion`). An arm without a wrist has only the first cover.
 
 `exclusions` names the fewest bodies of the arm with which a target is proven to have no clear configuration.
 """
@@ -25,7 +25,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof import arm_exclusion, branch_exclusion, exclusion
+from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
 from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -80,7 +80,7 @@ class Cells(NamedTuple):
         )
 
 
-def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bodies) -> arm_exclusion.CellBounds:
+def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bodies) -> exclusion.CellBounds:
     """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -95,12 +95,12 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
     """
     robot, task = scene.robot, scene.task
     cell = exclusion.ToolCell(task.tcp_place(lane.target), quaternion, rho)
-    bounds = arm_exclusion.tool_cell(scene, lane, cell, bodies)
+    bounds = exclusion.tool_cell(scene, lane, cell, bodies)
     turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
     return bounds._replace(collides=bounds.collides | (turn > rho + ROUNDING_RAD))
 
 
-def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> arm_exclusion.CellBounds:
+def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> exclusion.CellBounds:
     """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -117,9 +117,9 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
-    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, arm_exclusion.WRIST)))
+    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, exclusion.WRIST)))
     turns = 0.5 * (upper - lower) * half
-    return arm_exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
+    return exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
 
 
 def branch(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, number, bodies):
@@ -166,8 +166,8 @@ def tool_cells(
     lanes = len(inputs.row)
     by_branch = robot is not None and branch_exclusion.has_branches(robot)
     covers = [_complete_cover(lanes, FACES, 3)]
-    if robot is not None and not by_branch and arm_exclusion.has_wrist(robot):
-        covers.append(_complete_cover(lanes, 1, len(robot.slides) - arm_exclusion.WRIST))
+    if robot is not None and not by_branch and exclusion.has_wrist(robot):
+        covers.append(_complete_cover(lanes, 1, len(robot.slides) - exclusion.WRIST))
     going, done = np.ones(lanes, bool), []
     while going.any():
         turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)

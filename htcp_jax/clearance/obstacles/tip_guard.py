@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.caching import cached_for_last
 from htcp_jax.model import Workpiece
 from htcp_jax.model import surface as surfaces
-from htcp_jax.model import triangles as mesh_triangles
 from htcp_jax.numerics import ragged_rows
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
@@ -32,7 +31,7 @@ class WallTriangles:
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
         edges = triangles - np.roll(triangles, 1, axis=1)
         area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
-        self._corners = mesh_triangles.pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
+        self._corners = surfaces.pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
         self.middle = self._corners.mean(axis=1)
         self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 

@@ -32,7 +32,6 @@ from htcp_jax.motion import (
     Tried,
     ViaPoints,
     collision_checker,
-    dead_ends,
     lane_inputs,
     motion_check,
     step_functions,
@@ -85,7 +84,7 @@ class BeamSearchMethod(Method):
         parts = problem.in_threads(work, threads)
         via_points = ViaPoints.of([row for rows, _ in parts for row in rows], plans.x.shape[2])
         tried = {key: value for _, part in parts for key, value in part.items()}
-        return plans._replace(via_points=via_points, dead_ends=dead_ends.DeadEnds.of(tried))
+        return plans._replace(via_points=via_points, dead_ends=DeadEnds.of(tried))
 
 
 class BeamSearch:
