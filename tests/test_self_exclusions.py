@@ -25,7 +25,7 @@ from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.jobs import load_config
-from htcp_jax.jobs.build import obstacles_of, scene
+from htcp_jax.jobs.build import obstacles_of, resolved_scene, scene
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.motion import Problem
 from htcp_jax.motion.start_check import check_start
@@ -209,8 +209,7 @@ def test_a_start_deeper_in_an_excluded_pair_than_random_configurations_is_refuse
 def test_a_sweep_records_such_a_start_and_goes_on(imported, tmp_path):
     arm = imported(0.0)
     with_pair(arm, "c")
-    config = load_config(job(arm, tmp_path, FOLDED))
-    robot, workpiece, scenario = scene(config)
+    config, robot, workpiece, scenario = resolved_scene(load_config(job(arm, tmp_path, FOLDED)))
     obstacles = obstacles_of(config.cell, robot)
     plans = batch.plan(Problem.of(robot, workpiece, scenario, config.settings, obstacles=obstacles), "baseline")
     assert plans.status[0, 0] == Status.START_IN_COLLISION

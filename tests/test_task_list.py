@@ -17,7 +17,7 @@ from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.path_frames import tangents, wall_normals
 from htcp_jax.model.task import TCP_POSITION
-from htcp_jax.spec import AxisRow, OrientationRow, PointRow
+from htcp_jax.spec import TASK_ROWS, TCP_ON_PATH, AxisRow, OrientationRow, PointRow
 
 ON_PATH = {"point": "tcp", "on": "path"}
 UP = (0.0, 0.0, 2.0)
@@ -61,6 +61,25 @@ def test_a_point_held_in_all_directions_is_a_place_whatever_frame_they_are_of():
         assert task == TCP_POSITION and scenario.task_goals is None
     task, scenario = made({"point": "tcp", "on": [1.0, 0.0, 1.0]})
     assert task == TCP_POSITION and (scenario.task_goals[11:] == (1.0, 0.0, 1.0)).all()
+
+
+def test_built_in_rows_are_found_by_name_like_those_of_other_packages():
+    assert [TASK_ROWS.find(name) for name in ("point", "axis", "orientation")] == [PointRow, AxisRow, OrientationRow]
+    for row in (ON_PATH, CONE, {"orientation": [1, 0, 0, 0]}):
+        (kind,) = {"point", "axis", "orientation"} & row.keys()
+        assert load_config({"task": [{"kind": kind, **row}]}).task == load_config({"task": [row]}).task
+
+
+def test_a_record_of_a_row_has_the_keys_of_all_classes_and_is_read_back():
+    job = load_config({"task": [ON_PATH, CONE, {"orientation": [1, 0, 0, 0]}]})
+    record = job.model_dump(mode="json")["task"]
+    assert {len(row) for row in record} == {16} and record[1]["axes"] == "xyz" and record[1]["point"] is None
+    assert load_config({"task": record}).task == job.task
+
+
+def test_without_a_job_rows_are_named_by_their_numbers():
+    with pytest.raises(InputError, match=r"^row 2 \(point tcp\) repeats or contradicts an earlier row"):
+        task_of([TCP_ON_PATH, PointRow("tcp", on=(1.0, 0.0, 1.0))], made_once.robot())
 
 
 def test_before_the_path_rows_are_eased_so_that_the_start_is_on_its_target():

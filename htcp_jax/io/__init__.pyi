@@ -1,8 +1,13 @@
-from . import arrays, cell, parts, robots
+from . import arrays, parts, robots
+from .cell import THIN_M, files_of_cell, load_cell, read_meshes, thickness_m
 
 __all__ = [
+    "THIN_M",
     "arrays",
-    "cell",
+    "files_of_cell",
+    "load_cell",
     "parts",
+    "read_meshes",
     "robots",
+    "thickness_m",
 ]

@@ -1,8 +1,9 @@
 """Jobs: reading of a plan's or a sweep's configuration, and the robot, workpiece and scenarios that it describes.
 
-`load_config` loads a `PlanConfig` from files and overrides. `build` makes a job's robot, workpiece, task and scenario;
-`cell_shapes` loads the shapes of its work cell. `with_kinds` adds obstacles and task rows from Python to a job, and
-`seeded` adds a seed to overrides.
+`load_config` loads a `PlanConfig` from files and overrides; the files that the job names are not read. `resolve` adds
+the values that depend on the robot. `build` makes a job's robot, workpiece, task and scenario; `cell_shapes` loads the
+shapes of its work cell. `with_kinds` adds obstacles and task rows from Python to a job, and `seeded` adds a seed to
+overrides.
 
 `grid` reads a sweep: a grid of jobs, whose scenarios are stacked into batches. `grid_axes` defines the keys that may
 vary and reads their values. `grid_points` yields the configuration of each scenario.

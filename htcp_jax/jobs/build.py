@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import given_obstacle, of_cell, self_collision
+from htcp_jax.clearance.obstacles import PlacedCloud, given_obstacles, make_fixtures, placed_cloud, self_collision
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
@@ -38,6 +38,15 @@ from htcp_jax.spec import (
 NO_CELL = CellConfig()
 
 
+@contextmanager
+def _rows_by_key() -> Iterator[None]:
+    """Name a task's rows by their keys in the job, such as task.2, in errors."""
+    try:
+        yield
+    except goals.RowError as error:
+        raise InputError(error.message("task.")) from None
+
+
 def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
     """Build the robot, the workpiece and the scenario of a job."""
     return resolved_scene(job)[1:]
@@ -50,25 +59,29 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
         job: The job.
         source: Name of the job, for messages.
     """
-    robot = robot_of(job.robot, job.cell, job.tree)
-    job = resolve(job, robot, source)
+    job, robot = with_robot(job, source)
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
 
+def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
+    """Load the robot of a job, and return the resolved job and the robot.
+
+    Args:
+        job: The job.
+        source: Name of the job, for messages.
+
+    Raises:
+        InputError: See `robot_of` and `resolve`.
+    """
+    robot = _bare_robot(job.robot, job.tree)
+    return resolve(job, robot, source), _in_cell(robot, job.robot, job.cell)
+
+
+@_rows_by_key()
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task of a job: the constraints on the tool at each point of the path."""
-    with _rows_by_key():
-        return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
-
-
-@contextmanager
-def _rows_by_key() -> Iterator[None]:
-    """Name a task's rows by their keys in the job, such as task.2, in errors."""
-    try:
-        yield
-    except goals.RowError as error:
-        raise InputError(error.message("task.")) from None
+    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -83,6 +96,11 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.Co
         InputError: See `load_robot` and `with_carried`; also if the part does not move and the tool seems not to be in
             metres, see `check_tool`.
     """
+    return _in_cell(_bare_robot(arm, tree), arm, cell)
+
+
+def _bare_robot(arm: RobotConfig, tree: model_source.ComposedModel | None) -> Robot:
+    """Load the robot without the cell's fixtures, of which it may carry some."""
     source = tree or arm.file
     robot = load_robot(
         source,
@@ -93,12 +111,17 @@ def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.Co
         locked=dict(arm.locked),
     )
     if arm.bodies == "capsules":
-        robot = replace(robot, pieces=None)
-    elif arm.bodies == "meshes" and robot.pieces is None:
+        return replace(robot, pieces=None)
+    if arm.bodies == "meshes" and robot.pieces is None:
         raise InputError(
             f"robot.bodies: {arm.model} has no convex pieces of meshes; "
             "set robot.bodies to capsules, or use a model file written by htcp robot"
         )
+    return robot
+
+
+def _in_cell(robot: Robot, arm: RobotConfig, cell: CellConfig) -> Robot:
+    """Return the robot with the fixtures of the cell that its links carry, after a check of its tool."""
     if not robot.part_moves:  # if the part moves, the TCP may be anywhere in the world
         parts.check_tool(robot, arm.tool_extension_m)
     return cell_shapes.with_carried(robot, cell)
@@ -170,6 +193,7 @@ def path_file(part: WorkpieceConfig) -> str | None:
     return None if is_seam else part.path
 
 
+@_rows_by_key()
 def scenario_of(
     job: PlanConfig,
     robot: Robot,
@@ -207,10 +231,9 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    with _rows_by_key():
-        scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
-        if beyond_reach == "raise":
-            goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+    if beyond_reach == "raise":
+        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 
@@ -268,9 +291,9 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
             parts.check_cell_extent(robot, corners, shape.name, f"the scale of its mesh in {cell.model}")
     clouds = tuple(_cell_cloud(each, T, standing, robot) for each, T in standing.clouds)
     own = self_collision.self_collision(robot) if cell.self_collision else None
-    given = given_obstacle.given_obstacles(cell.obstacles)
+    given = given_obstacles(cell.obstacles)
     return (
-        *of_cell.make_fixtures(robot, standing.shapes, standing.excluded),
+        *make_fixtures(robot, standing.shapes, standing.excluded),
         *clouds,
         *given,
         *(() if own is None else (own,)),
@@ -279,12 +302,12 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
 
 def _cell_cloud(
     cloud: CloudConfig, T: Float[np.ndarray, "4 4"], standing: cell_shapes.StandingCell, robot: Robot
-) -> of_cell.PlacedCloud:
+) -> PlacedCloud:
     """Return a cloud or mesh of the cell, at its pose T in the world [m]."""
     found, name = parts.load_geometry(cloud.cloud, cloud.unit), cell_shapes.name_of(cloud)
     parts.check_cell_extent(robot, found.points, name, "cell.clouds has the key unit")
     excluded = standing.excluded.get(name, ())
-    return of_cell.placed_cloud(robot, *found, T, source=cloud.cloud, name=name, excluded=excluded)
+    return placed_cloud(robot, *found, T, source=cloud.cloud, name=name, excluded=excluded)
 
 
 _POSE = {"rotation_x_rad": 0.0, "rotation_y_rad": 0.0, "rotation_z_rad": 0.0, "shift_m": (0.0, 0.0, 0.0)}

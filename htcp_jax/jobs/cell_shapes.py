@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import cell as cells
-from htcp_jax.io import parts
-from htcp_jax.io.robots import attached
+from htcp_jax.io import load_cell, parts
+from htcp_jax.io.robots import AttachedBody, attach
 from htcp_jax.model import Fixture, Robot, fixture
 from htcp_jax.model import robot as robots
 from htcp_jax.spec import CellConfig, CloudConfig, ObstacleKind, tool, with_arrays
@@ -80,7 +79,7 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
         return robot
     carried = _carriers(cell, robot)
     bodies = [
-        attached.AttachedBody(shape.name, _points(shape, own.T), own.frame.link, own.excluded)
+        AttachedBody(shape.name, _points(shape, own.T), own.frame.link, own.excluded)
         for shape, own in _with_carriers(cell, robot, carried)
         if own.moves
     ]
@@ -90,8 +89,8 @@ def with_carried(robot: Robot, cell: CellConfig) -> Robot:
                 raise InputError(f"fixture {name!r} is a cloud of points; only a box or a mesh can move with a link")
             T = own.T @ tool.pose(cloud.base_m, cloud.base_rpy_rad)
             points = _moved(triangles.reshape(-1, 3), T)
-            bodies.append(attached.AttachedBody(name, points, own.frame.link, own.excluded))
-    return attached.attach(robot, bodies) if bodies else robot
+            bodies.append(AttachedBody(name, points, own.frame.link, own.excluded))
+    return attach(robot, bodies) if bodies else robot
 
 
 def name_of(cloud: CloudConfig) -> str:
@@ -107,8 +106,8 @@ def _shapes(cell: CellConfig, moved: bool) -> tuple[Fixture, ...]:
                 raise InputError(f"cell.{key} is set, but cell.model is missing; set cell.model, too")
         return ()
     if not moved:
-        return cells.load_cell(cell.model)
-    return cells.load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
+        return load_cell(cell.model)
+    return load_cell(cell.model, moved=cell.moved, shift_m=cell.shift_m, rpy_rad=cell.rpy_rad)
 
 
 def _carriers(cell: CellConfig, robot: Robot) -> dict[str, Carried]:

@@ -14,8 +14,10 @@ concatenated. A scenario's number is its index in the complete grid. It determin
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,20 +34,20 @@ from htcp_jax.jobs.build import (
     scenario_of,
     task_of_job,
     walls_key,
+    with_robot,
     workpiece_key,
     workpiece_of,
 )
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config, source_of
-from htcp_jax.jobs.resolve import check_start, resolve
+from htcp_jax.jobs.resolve import check_start
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
 from htcp_jax.spec import (
     DEPENDENT,
     PlanConfig,
-    WorkpieceConfig,
     example_or_path,
     is_other_arm,
     keys_of,
@@ -134,8 +136,9 @@ class Sweep:
                 names the scenario.
         """
         points = self.points(limit)
-        arms = {robot_key(self.config): self.robot}
-        parts: dict[tuple[tuple, WorkpieceConfig], Workpiece] = {}
+        shared = robot_key(self.config)
+        robots = cache(lambda *key: self.robot if key == shared else robot_of(*key))
+        workpieces = cache(lambda part, *key: workpiece_of(part, robots(*key)))
         obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
         follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # argument of `scenario_of`, by what determines it
         cells: dict[tuple, tuple[int, PlannerInputs]] = {}
@@ -143,22 +146,23 @@ class Sweep:
         for point in points:
             arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
             where = f"{self.name}: scenario {point.number}"
-            if arm not in arms:
-                arms[arm] = _like(self.robot, robot_of(*arm), where)
-            check_start(point.config, arms[arm], where)
-            if (arm, part) not in parts:
-                parts[arm, part] = workpiece_of(part, arms[arm])
-            task, surroundings = _task(point, arms[arm]), obstacles_key(point.config.cell)
+            robot = _like(self.robot, robots(*arm), where)
+            check_start(point.config, robot, where)
+            workpiece = workpieces(part, *arm)
+            with _naming(point):
+                task = task_of_job(point.config, robot)
+            surroundings = obstacles_key(point.config.cell)
             if (arm, surroundings) not in obstacles:
-                obstacles[arm, surroundings] = obstacles_of(point.config.cell, arms[arm])
-            own = len(cells), PlannerInputs(arms[arm], parts[arm, part], settings, task, obstacles[arm, surroundings])
+                obstacles[arm, surroundings] = obstacles_of(point.config.cell, robot)
+            own = len(cells), PlannerInputs(robot, workpiece, settings, task, obstacles[arm, surroundings])
             whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
             begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
             number = 0 if self.alone else point.number
-            scenarios.append(_scenario(point, arms[arm], parts[arm, part], follows.get(begins), number))
-            follows[begins] = scenarios[-1].targets[0]
-            _check_alike(point, task, next(iter(cells.values()))[1].task)
-            _check_obstacles(point, scenarios[-1], scenarios[0])
+            with _naming(point):
+                scenario = scenario_of(point.config, robot, workpiece, number, "record", follows.get(begins))
+                scenarios.append(scenario)
+                _check_alike(task, scenario, next(iter(cells.values()))[1].task, scenarios[0])
+            follows[begins] = scenario.targets[0]
         return Batch(
             tuple(cell for _, cell in cells.values()), np.array(whose, int), scenario_functions.stack(scenarios), points
         )
@@ -194,9 +198,7 @@ def load_sweep(
     first = _first_values(raw, grids, path.parent)
     for key, value in first.items():
         put_key(raw, key, value)
-    base: PlanConfig = strict_model.validate_model(raw, PlanConfig, source)
-    robot = robot_of(base.robot, base.cell, base.tree)
-    base = resolve(base, robot, source)
+    base, robot = with_robot(strict_model.validate_model(raw, PlanConfig, source), source)
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
@@ -205,7 +207,7 @@ def load_sweep(
             raise InputError(f"{where}: {key} varies in another group; it must vary in every group")
     if (size := sum(group.size for group in groups)) > MOST:
         raise InputError(f"{path}: the grid has {size:,} scenarios; at most {MOST:,} are allowed")
-    return Sweep(path.stem, base, robot, tuple(groups), frozenset(stated.intersection((*DEPENDENT, "start_rad"))))
+    return Sweep(path.stem, base, robot, tuple(groups), DEPENDENT & stated)
 
 
 def load_sweep_or_job(
@@ -228,10 +230,9 @@ def load_sweep_or_job(
         return load_sweep(spec, config, overrides)
     if config is not None:
         raise InputError(f"{path} is a job; omit config (--config), which replaces the job of a sweep")
-    job = load_config(spec, overrides)
+    job, robot = with_robot(load_config(spec, overrides), source_of(spec))
     name = "job" if isinstance(spec, Mapping) else path.stem
-    robot = robot_of(job.robot, job.cell, job.tree)
-    return Sweep(name, resolve(job, robot, source_of(spec)), robot, (Group(None, ()),), frozenset(), alone=True)
+    return Sweep(name, job, robot, (Group(None, ()),), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:
@@ -277,36 +278,25 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
     return robot
 
 
-def _task(point: ScenarioPoint, robot: Robot) -> Task:
+@contextmanager
+def _naming(point: ScenarioPoint) -> Iterator[None]:
+    """Put the scenario's number in front of the message of an `InputError`."""
     try:
-        return task_of_job(point.config, robot)
+        yield
     except InputError as error:
         raise InputError(f"scenario {point.number}: {error}") from None
 
 
-def _check_alike(point: ScenarioPoint, task: Task, first: Task) -> None:
-    """Check that goals have as many numbers as those of the first task, as all goals are stacked in one array.
+def _check_alike(task: Task, scenario: Scenario, first_task: Task, first: Scenario) -> None:
+    """Check that goals and obstacles have as many numbers as those of the first scenario, as they are stacked.
 
     Raises:
         InputError: If the numbers differ.
     """
-    if task.numbers != first.numbers:
+    if task.numbers != first_task.numbers:
         raise InputError(
-            f"scenario {point.number}: its task has other kinds of rows than the first scenario's; "
+            "its task has other kinds of rows than the first scenario's; "
             "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
         )
-
-
-def _check_obstacles(point: ScenarioPoint, scenario: Scenario, first: Scenario) -> None:
-    """Raise InputError if the numeric fields of a scenario's obstacles have another size than the first scenario's."""
     if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
-        raise InputError(f"scenario {point.number}: its cell.obstacles need as many numbers as the first scenario's")
-
-
-def _scenario(
-    point: ScenarioPoint, robot: Robot, workpiece: Workpiece, follows: Float[np.ndarray, "3"] | None, number: int
-) -> Scenario:
-    try:
-        return scenario_of(point.config, robot, workpiece, number, "record", follows)
-    except InputError as error:
-        raise InputError(f"scenario {point.number}: {error}") from None
+        raise InputError("its cell.obstacles need as many numbers as the first scenario's")

@@ -188,10 +188,8 @@ def _own_copy(raw: dict, parameter: AxisParameter) -> dict:
     owner: Any = raw
     for name in section.split(".") if section else ():
         if isinstance(owner, list) and int(name) > len(owner):
-            what = (
-                f"the task has {len(owner)} rows" if section[:4] == "task" else f"the cell has {len(owner)} obstacles"
-            )
-            raise InputError(f"{parameter.name}: {what}; they are numbered from 1")
+            list_of, rows = ("the task", "rows") if owner is raw["task"] else ("the cell", "obstacles")
+            raise InputError(f"{parameter.name}: {list_of} has {len(owner)} {rows}; they are numbered from 1")
         place = int(name) - 1 if isinstance(owner, list) else name
         owner[place] = dict(owner[place]) if isinstance(owner[place], dict) else list(owner[place])
         owner = owner[place]
@@ -200,12 +198,8 @@ def _own_copy(raw: dict, parameter: AxisParameter) -> dict:
             raise InputError(f"{parameter.name}: robot.locked has no joint {key}; valid: {', '.join(owner) or 'none'}")
         return owner
     if key not in owner or (parameter.key not in KEYS and strict_model.KIND not in owner):
-        valid = (
-            ", ".join(name for name in owner if name != strict_model.KIND)
-            if strict_model.KIND in owner
-            else ", ".join(OF_A_ROW)
-        )
-        raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {valid}")
+        valid = [name for name in owner if name != strict_model.KIND] if strict_model.KIND in owner else OF_A_ROW
+        raise InputError(f"{parameter.name}: {section} has no key {key} that can vary; valid: {', '.join(valid)}")
     return owner
 
 
@@ -252,7 +246,7 @@ def absolute(name: str | None, words: Collection[str | None]) -> str | None:
 
 def has_own_defaults(group: Group) -> bool:
     """Return True if the scenarios of a grid may have different defaults, see `spec.defaults.own_defaults`."""
-    return bool(group.keys & {*SOURCES, "workpiece.neutral_translation_m"})
+    return bool(group.keys & {*SOURCES})
 
 
 def varied_keys(names: Collection[str]) -> tuple[str, ...]:
@@ -261,7 +255,7 @@ def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     names = [given[name].key if given.get(name) else name for name in names]
     own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
-    if keys.keys() & SOURCES or "workpiece.neutral_translation_m" in keys:
+    if keys.keys() & SOURCES:
         keys |= dict.fromkeys(DEPENDENT)
     return *(key for key in KEYS if key in keys and key not in PARAMETERS), *own
 

@@ -19,8 +19,8 @@ def points_of(
         name: Name of the sweep, for messages.
         config: Configuration shared by the scenarios.
         groups: The grids.
-        stated: The keys among `DEPENDENT` and "start_rad" that the configuration sets. The others get the
-            defaults for each scenario's robot and workpiece.
+        stated: The keys in `DEPENDENT` that the configuration sets. The others get the defaults for each scenario's
+            robot and workpiece.
         joints: Number of joints of all robots.
 
     Raises:
@@ -47,7 +47,7 @@ def points_of(
 
 def _without_defaults(base: dict, stated: Collection[str]) -> dict:
     """Return a configuration of plain values without the keys that have their own defaults in each scenario."""
-    missing = {*DEPENDENT, "start_rad"} - {*stated}
+    missing = DEPENDENT - {*stated}
     return {
         key: {name: own for name, own in value.items() if f"{key}.{name}" not in missing}
         if isinstance(value, dict)

@@ -25,7 +25,7 @@ from htcp_jax.numerics import safe_norm
 from htcp_jax.spec import (
     AIM_M,
     AIM_RAD,
-    ON_PATH,
+    PATH_VALUES,
     AxisRow,
     BuiltInRow,
     OrientationRow,
@@ -48,8 +48,8 @@ class PlacedPath(NamedTuple):
     workpiece: Workpiece
 
     def along(self, name: str) -> Float[np.ndarray, "T 3"]:
-        """Return the path's points [m], tangents or normals in the world, by the name in `ON_PATH`."""
-        return self.path if name == "place" else getattr(self.workpiece, ON_PATH[name]) @ self.rotate.T
+        """Return the path's points [m], tangents or normals in the world, by the name in `PATH_VALUES`."""
+        return self.path if name == "place" else getattr(self.workpiece, PATH_VALUES[name]) @ self.rotate.T
 
     def in_world(self, spec: BuiltInRow, vector: Any, is_place: bool = False) -> Float[np.ndarray, "3"]:
         """Return a position [m] or direction in the world, from its numbers in a row, which are in the row's frame."""
@@ -70,18 +70,16 @@ def row_of(spec: TaskRowKind, robot: Robot) -> Row:
         InputError: For a name that the robot lacks; for a position in the world if the part moves; and for a class with
             an invalid `along`, or a wrong number of errors or slacks.
     """
-    if unknown := [name for name in spec.along if name not in ON_PATH]:
-        raise InputError(f"along of {spec.name} has {unknown[0]!r}; valid: {', '.join(ON_PATH)}")
+    if unknown := [name for name in spec.along if name not in PATH_VALUES]:
+        raise InputError(f"along of {spec.name} has {unknown[0]!r}; valid: {', '.join(PATH_VALUES)}")
     template = template_of(spec)
-    own = tuple((name, Slot((3,))) for name in spec.along)
-    template = Template(template.kind, (*template.fields, *own))
+    template = Template(template.kind, (*template.fields, *((name, Slot((3,))) for name in spec.along)))
     features = tuple(spec.features(robot))
-    for name in ("equalities", "inequalities"):
-        given, what = getattr(spec, name), "error" if name == "equalities" else "slack"
-        found = np.shape(_evaluated(template, what, features))
-        if found != (given,):
+    for method, name in (("error", "equalities"), ("slack", "inequalities")):
+        shape, count = np.shape(_evaluated(template, method, features)), getattr(spec, name)
+        if shape != (count,):
             raise InputError(
-                f"{what} of {spec.name} returns the shape {found}; with {name} = {given} it must be ({given},)"
+                f"{method} of {spec.name} returns the shape {shape}; with {name} = {count} it must be ({count},)"
             )
     if not spec.equalities + spec.inequalities:
         raise InputError(f"{spec.name}: `equalities` and `inequalities` are both 0; set one of them")
@@ -157,8 +155,8 @@ def _point_goals(spec: PointRow, row: Row, placed: PlacedPath) -> Float[np.ndarr
 @goals_of.register
 def _axis_goals(spec: AxisRow, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
     if (name := spec.along_path) is not None:
-        own = placed.workpiece.normals if name.endswith("normal") else placed.workpiece.tangents
-        directions = (-1.0 if name.startswith("-") else 1.0) * own @ placed.rotate.T
+        on_part = placed.workpiece.normals if name.endswith("normal") else placed.workpiece.tangents
+        directions = (-1.0 if name.startswith("-") else 1.0) * on_part @ placed.rotate.T
     elif spec.looks_at_m is not None:  # the place to point at [m]
         directions = np.tile(placed.in_world(spec, spec.looks_at_m, is_place=True), (len(placed.path), 1))
     else:
@@ -172,8 +170,9 @@ def _orientation_goals(spec: OrientationRow, row: Row, placed: PlacedPath) -> Fl
     if spec.orientation == "path":
         rotations = placed.rotate @ placed.workpiece.frames.rotations
     else:
-        own = scipy.spatial.transform.Rotation.from_quat(spec.orientation, scalar_first=True).as_matrix()
-        rotations = np.tile(placed.rotate @ own if spec.frame == "workpiece" else own, (len(placed.path), 1, 1))
+        rotation = scipy.spatial.transform.Rotation.from_quat(spec.orientation, scalar_first=True).as_matrix()
+        rotation = placed.rotate @ rotation if spec.frame == "workpiece" else rotation
+        rotations = np.tile(rotation, (len(placed.path), 1, 1))
     return _with_limit(rotations.reshape(len(placed.path), 9), spec)
 
 
@@ -191,7 +190,7 @@ def drawn_goal(spec: TaskRowKind, row: Row, rng: np.random.Generator) -> Float[n
 
 @dataclass(frozen=True)
 class GivenRow(Row):
-    """A row of a `TaskRowKind`.
+    """A row of a `TaskRowKind` of another package.
 
     A goal is the kind's numbers, then one offset per error and slack. The offsets are 0 on the path. On the approach
     they begin at values by which the start satisfies the row, and decrease to 0.
@@ -271,7 +270,7 @@ class GivenRow(Row):
         for name, value in self.template.fields:
             if isinstance(value, Slot):
                 own = slice(first, first + int(np.prod(value.shape)))
-                if name in ON_PATH and name != "place":
+                if name in PATH_VALUES and name != "place":
                     found[:, own] = turned_directions(goals[:, 0, own], goals[:, 1, own], share)
                 first = own.stop
         return found

@@ -32,7 +32,7 @@ from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel,
 from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
 from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
-from .task_row_kind import AIM_M, AIM_RAD, ON_PATH, TaskRowKind
+from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
 from .tool import Tool
 
 __all__ = [
@@ -49,7 +49,7 @@ __all__ = [
     "NAME",
     "NEUTRAL_TRANSLATION",
     "NO_CLOUD",
-    "ON_PATH",
+    "PATH_VALUES",
     "PIVOT",
     "ROBOT",
     "SEAMS",

@@ -37,7 +37,7 @@ from htcp_jax.spec.choices import (
 from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD, merged
 from htcp_jax.spec.defaults import own_defaults
 from htcp_jax.spec.feed import feed_of
-from htcp_jax.spec.given_kinds import built_in_row, kind_of, needs_kind, record_of
+from htcp_jax.spec.given_kinds import built_in_row, kind_validator, needs_kind, record_of
 from htcp_jax.spec.model_source import WORLD
 from htcp_jax.spec.registry import NAME
 from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
@@ -125,13 +125,13 @@ StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializ
 Row = Annotated[
     PointRow | AxisRow | OrientationRow,
     PlainValidator(built_in_row),
-    WrapValidator(kind_of(task_list.TASK_ROWS, TaskRowKind)),
+    WrapValidator(kind_validator(task_list.TASK_ROWS, TaskRowKind)),
     PlainSerializer(record_of),
 ]
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
-    WrapValidator(kind_of(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
+    WrapValidator(kind_validator(obstacle_kind.OBSTACLES, obstacle_kind.ObstacleKind)),
     PlainSerializer(record_of),
 ]
 

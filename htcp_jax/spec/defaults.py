@@ -1,4 +1,4 @@
-"""Defaults that depend on a job's arm or part; `jobs.resolve` adds those that depend on the arm's file."""
+"""Defaults that depend on a job's arm or part; `jobs.resolve` adds those that depend on its robot."""
 
 import math
 from typing import Any
@@ -7,18 +7,6 @@ from htcp_jax.spec.config_file import FILES, NO_CLOUD
 from htcp_jax.spec.model_source import KEYS, WORLD
 
 TIP_CONTACT_M = 0.01  # default of workpiece.tip_contact_m for a user-supplied part
-SOURCES = ("robot.model", "workpiece.cloud")  # keys that determine the defaults of the keys in DEPENDENT
-DEPENDENT = (
-    "robot.limits",
-    "settings.q_weights",
-    "workpiece.rotation_y_rad",
-    "workpiece.rotation_z_rad",
-    "workpiece.neutral_translation_m",
-    "workpiece.pivot_m",
-    "workpiece.inlet_direction",
-    "workpiece.tip_contact_m",
-    "cell.self_collision",
-)
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -80,11 +68,17 @@ def is_other(raw: dict, key: str) -> bool:
 
 def is_other_arm(raw: dict) -> bool:
     """Return False if the robot is the GP50 without a positioner, rail or tool model; otherwise True."""
-    models = [value_at(raw, f"{key}.model") for key in KEYS[1:]]
+    models = (value_at(raw, f"{key}.model") for key in KEYS[1:])
     parents = value_at(raw, "robot.parent") not in (None, WORLD), value_at(raw, "workpiece.parent") is not None
-    return is_other(raw, "robot.model") or any(model is not None for model in models) or any(parents)
+    return is_other(raw, "robot.model") or any(models) or any(parents)
 
 
 def _is_point(value: Any) -> bool:
     numbers = value if isinstance(value, list | tuple) else ()
     return len(numbers) == 3 and all(type(n) in (int, float) and math.isfinite(n) for n in numbers)
+
+
+# Keys that determine the defaults of the keys in DEPENDENT, if they vary in a sweep.
+SOURCES = "robot.model", "workpiece.cloud", "workpiece.neutral_translation_m"
+_OWN = own_defaults({"robot": {"model": "own"}, "workpiece": {"cloud": "own"}})
+DEPENDENT = frozenset(key for key in keys_of(_OWN) if not isinstance(value_at(_OWN, key), dict))

@@ -14,7 +14,7 @@ from htcp_jax.spec.kinds import ExtensionKind
 from htcp_jax.spec.registry import Registry
 
 
-def kind_of(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
+def kind_validator(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
     """Return a pydantic validator for an entry that names a kind in `registry`, or is an instance of `base`.
 
     Any other entry is validated by the next validator.
@@ -32,10 +32,10 @@ def built_in_row(value: Any) -> task_list.BuiltInRow:
     """Return the task row of an entry without the key kind.
 
     Raises:
-        InputError: See `task_list.built_in_row`.
+        InputError: See `task_list.built_in_class`.
         ValidationError: For an invalid value.
     """
-    row, keys = task_list.built_in_row(value) if isinstance(value, dict) else (task_list.PointRow, value)
+    row, keys = task_list.built_in_class(value) if isinstance(value, dict) else (task_list.PointRow, value)
     return _adapter(row).validate_python(keys)
 
 

@@ -11,7 +11,7 @@ extension to this process only. An extension is imported when its name is looked
 
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -30,7 +30,7 @@ class Registry:
         group: Name of the entry point group.
         noun: Singular noun for an extension of this type, for messages.
         fault: Function that returns the reason why an object is invalid; "" if it is valid.
-        built_in: Names of built-in extensions, which are not in the registry; no other extension may have them.
+        built_in: Built-in extensions by name, or only their names, if they are not looked up in the registry.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Registry:
         group: str,
         noun: str,
         fault: Callable[[Any], str],
-        built_in: Collection[str] = (),
+        built_in: Mapping[str, Any] | Collection[str] = (),
     ):
         self.group, self.noun, self._fault, self._built_in = group, noun, fault, built_in
         self._own: dict[str, Any] = {}  # registered in this process
@@ -62,13 +62,14 @@ class Registry:
         return tuple(dict.fromkeys((*self._built_in, *self._entry_points, *self._own)))
 
     def find(self, name: str) -> Any:
-        """Return the added extension with this name; import it if necessary.
+        """Return the extension with this name; import it if necessary.
 
         Raises:
             InputError: If the name is unknown, or if the extension cannot be imported or is invalid.
         """
-        if name in self._own:
-            return self._own[name]
+        for known in (self._built_in, self._own):
+            if isinstance(known, Mapping) and name in known:
+                return known[name]
         self.refuse_unknown(name)
         if name not in self._loaded:
             self._loaded[name] = self._load(self._entry_points[name])

@@ -89,13 +89,12 @@ class _Key(NamedTuple):
 
 @cache
 def _keys_of(model: Any) -> dict[str, _Key]:
-    if isinstance(model, UnionType):
-        return {name: key for one in get_args(model) for name, key in _keys_of(one).items()}
-    kinds = (
-        {field.name: field.type for field in fields(model)}
-        if is_dataclass(model)
-        else {name: field.annotation for name, field in model.model_fields.items()}
-    )
+    kinds: dict[str, Any] = {}
+    for one in get_args(model) or (model,):  # get_args: of a union
+        if is_dataclass(one):
+            kinds |= {field.name: field.type for field in fields(one)}
+        else:
+            kinds |= {name: field.annotation for name, field in one.model_fields.items()}
     return {name: _key(kind) for name, kind in kinds.items()}
 
 

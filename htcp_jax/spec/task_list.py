@@ -244,8 +244,8 @@ BUILT_IN: dict[str, type[BuiltInRow]] = {row.name: row for row in (PointRow, Axi
 RECORD = {key.name: None if key.default is MISSING else key.default for row in BUILT_IN.values() for key in fields(row)}
 
 
-def built_in_row(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, Any]]:
-    """Return the class of a row written without `kind`, and its keys.
+def built_in_class(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, Any]]:
+    """Return the class of a row that is written without `kind`, and the keys of this class.
 
     Args:
         raw: The row; keys of other classes may have their defaults, as in records.
@@ -257,12 +257,12 @@ def built_in_row(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, An
     if len(given) != 1:
         raise InputError(f"a row must have one of {', '.join(BUILT_IN)}; this row has {' and '.join(given) or 'none'}")
     row = TASK_ROWS.find(given[0])
-    first, *others = (key.name for key in fields(row))
-    for name in (name for name in RECORD if name in raw and name not in (first, *others)):
-        value = raw[name]
-        if (tuple(value) if isinstance(value, list) else value) != RECORD[name]:
-            raise InputError(f"{name} is not a key of a {first} row; valid: {', '.join(others)}")
-    return row, {name: value for name, value in raw.items() if name in (first, *others)}
+    keys = [key.name for key in fields(row)]
+    for name, default in RECORD.items():
+        value = raw.get(name, default)
+        if name not in keys and (tuple(value) if isinstance(value, list) else value) != default:
+            raise InputError(f"{name} is not a key of a {row.name} row; valid: {', '.join(keys[1:])}")
+    return row, {name: raw[name] for name in keys if name in raw}
 
 
 def path_row(rows: Sequence[TaskRowKind]) -> PointRow | None:
@@ -274,4 +274,4 @@ def _row_fault(kind: Any) -> str:
     return kind_fault(kind, TaskRowKind, ["features"]) or kind_fault(kind, TaskRowKind, ["error", "slack"])
 
 
-TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault, lambda: BUILT_IN)
+TASK_ROWS = Registry("htcp_jax.task_rows", "kind of task row", _row_fault, BUILT_IN)

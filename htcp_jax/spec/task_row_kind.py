@@ -13,7 +13,7 @@ from jaxtyping import Float
 from htcp_jax.spec.kinds import ExtensionKind
 from htcp_jax.types import Array
 
-ON_PATH = {"place": "path", "tangent": "tangents", "normal": "normals"}  # values along the path that a row may use
+PATH_VALUES = {"place": "path", "tangent": "tangents", "normal": "normals"}  # values along the path that a row may use
 AIM_RAD, AIM_M = 1e-3, 2e-4  # distance inside an inequality at which a step aims, as rows are linearised
 
 
@@ -81,7 +81,7 @@ class TaskRowKind(ExtensionKind):
     @property
     def uses(self) -> set[str]:
         """Names of the path's directions that the row requires: normals, tangents, rotations."""
-        return {ON_PATH[name] for name in self.along} - {"path"}
+        return {PATH_VALUES[name] for name in self.along} - {"path"}
 
 
 def _namespace(value: Any) -> Any:

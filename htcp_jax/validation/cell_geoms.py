@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io import cell as cells
+from htcp_jax.io import THIN_M, read_meshes, thickness_m
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.jobs import shapes_in_world
 from htcp_jax.model import fixture
@@ -116,11 +116,11 @@ class CellGeoms:
 
     def _read_model(self, path: Path) -> mujoco.MjSpec:
         """Return the cell's file without geoms that have no contacts, and with hulls for solids and moving meshes."""
-        spec, meshes = cells.read_meshes(path)
+        spec, meshes = read_meshes(path)
         for k, (geom, triangles, is_solid) in enumerate(meshes):
             moves = self._rules.moves(_name(geom.name, geom.parent))
             corners = np.unique(triangles.reshape(-1, 3), axis=0)
-            if moves or (is_solid and cells.thickness_m(corners) >= cells.THIN_M):
+            if moves or (is_solid and thickness_m(corners) >= THIN_M):
                 geom.type, geom.meshname = _MESH, MESH.format(k)
                 self._add_mesh(spec, MESH.format(k), corners)
             else:
@@ -149,8 +149,8 @@ class CellGeoms:
 
     def _add_mesh(self, spec: mujoco.MjSpec, name: str, corners: Float[np.ndarray, "V 3"]) -> None:
         """Add the convex hull of corners, about their centre, as MuJoCo stores vertices as 32-bit numbers."""
-        if cells.thickness_m(corners) < cells.THIN_M:  # it would have no hull
-            corners = (corners[:, None] + cells.THIN_M / 2 * _CORNERS).reshape(-1, 3)
+        if thickness_m(corners) < THIN_M:  # it would have no hull
+            corners = (corners[:, None] + THIN_M / 2 * _CORNERS).reshape(-1, 3)
         self._corners[name] = corners
         spec.add_mesh(name=name, uservert=(corners - _centre(corners)).ravel(), inertia=_SHELL)
 

@@ -201,8 +201,8 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 
 
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
-    off, own = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
-    return RowCheck(row, np.rad2deg(off) if row.angular else off, own or (most_deg if row.angular else most_m))
+    off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
+    return RowCheck(row, np.rad2deg(off) if row.angular else off, limit or (most_deg if row.angular else most_m))
 
 
 @singledispatch
@@ -333,8 +333,8 @@ def _required(row: AxisRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray,
     if row.looks_at_m is not None:
         return place.world(row, row.looks_at_m, True) - arm.frames(row.axis_of[0])[0]
     if (name := row.along_path) is not None:
-        own = place.workpiece.normals if name.endswith("normal") else place.workpiece.tangents
-        return (-1.0 if name.startswith("-") else 1.0) * own[place.point] @ place.rotate.T
+        on_part = place.workpiece.normals if name.endswith("normal") else place.workpiece.tangents
+        return (-1.0 if name.startswith("-") else 1.0) * on_part[place.point] @ place.rotate.T
     direction = place.world(row, row.towards)
     return arm.from_world(direction) if row.frame == "world" else np.tile(direction, (len(arm.x), 1))
 
@@ -343,8 +343,10 @@ def _required(row: AxisRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray,
 def _required_orientation(row: OrientationRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray, "n 3 3"]:
     if row.orientation == "path":
         return place.rotate @ place.workpiece.rotations[place.point]
-    own = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
-    return np.tile(place.rotate @ own, (len(arm.x), 1, 1)) if row.frame == "workpiece" else arm.from_world(own)
+    rotation = Rotation.from_quat(row.orientation, scalar_first=True).as_matrix()
+    if row.frame == "workpiece":
+        return np.tile(place.rotate @ rotation, (len(arm.x), 1, 1))
+    return arm.from_world(rotation)
 
 
 def _angle(a: Float[np.ndarray, "n *v"], b: Float[np.ndarray, "n *v"]) -> Float[np.ndarray, "n"]:

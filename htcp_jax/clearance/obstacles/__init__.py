@@ -1,9 +1,9 @@
 """Obstacles: everything that the arm must not collide with. All kinds derive from `htcp_jax.clearance.Obstacle`.
 
-`of_workpiece` makes the obstacles of a workpiece. `of_cell` makes those of a work cell: solids and point clouds that
-are fixed in the world. `self_collision` is the arm itself as an obstacle; `self_exclusions` finds the pairs of capsules
-that need no check, from sampled configurations. `tip_guard` tests whether the bare tip of the tool passes through a
-wall of the workpiece.
+`of_workpiece` makes the obstacles of a workpiece, `make_fixtures` and `placed_cloud` those of a work cell: solids and
+point clouds that are fixed in the world. `self_collision` is the arm itself as an obstacle; `self_exclusions` finds the
+pairs of capsules that need no check, from sampled configurations. `tip_guard` tests whether the bare tip of the tool
+passes through a wall of the workpiece.
 
 `given_obstacle` computes distances of bodies to obstacles of other packages, see `htcp_jax.spec.ObstacleKind`.
 

@@ -2,19 +2,23 @@ from . import (
     contact_model,
     given_obstacle,
     linearisation,
-    of_cell,
     of_workpiece,
     self_collision,
     self_exclusions,
     tip_guard,
 )
+from .given_obstacle import given_obstacles
+from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 
 __all__ = [
+    "PlacedCloud",
     "contact_model",
     "given_obstacle",
+    "given_obstacles",
     "linearisation",
-    "of_cell",
+    "make_fixtures",
     "of_workpiece",
+    "placed_cloud",
     "self_collision",
     "self_exclusions",
     "tip_guard",

@@ -129,8 +129,8 @@ class Cloud(Obstacle):
 
     def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
         """Return True if a point of the cloud is certainly nearer to a body than the margin."""
-        own = in_workpiece(where, bodies.p), in_workpiece(where, bodies.q)
         within = bodies.radius + narrow_phase.margin_m(where) - bodies.moves
+        own = in_workpiece(where, bodies.p), in_workpiece(where, bodies.q)
         return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
 
 

@@ -83,7 +83,8 @@ def tool_collides(
     R, own = rotations.quaternion_matrix(cell.quaternion), _about_tip(scene.robot, bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
-    p, q = (cell.target[None] + product(ends, R.T) for ends in (own.p, own.q))
+    target = cell.target[None]
+    p, q = (target + product(ends, R.T) for ends in (own.p, own.q))
     return surely_touches(scene.obstacles, where, SweptCapsules(p, q, own.radius, moves))
 
 

@@ -11,7 +11,7 @@ that hold, `constraints` finds an MJCF file's couplings; `remarks` turns what co
 `import_robot` converts a vendor's model, of an arm or of a cell in which the part moves, to an `ImportedArm`.
 `capsule_fit` encloses each link's mesh in capsules; `close_fit` uses more capsules, within a tolerance. `stored_pieces`
 has the convex pieces of the meshes in the capsules. `mjcf` writes an imported arm as a file for `load_robot`.
-`LinkMeshes` are the vendor's meshes within the capsules, for contacts and distances between them. `attached` adds
+`LinkMeshes` are the vendor's meshes within the capsules, for contacts and distances between them. `attach` adds
 fixtures that move with a link to an arm.
 """
 

@@ -1,4 +1,5 @@
-from . import attached, capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from . import capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from .attached import AttachedBody, attach
 from .chain import chain_of_file
 from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
@@ -10,10 +11,11 @@ from .vendor_import import ImportedArm, chain_text, import_robot
 __all__ = [
     "LIMIT_ROUNDING",
     "RATES",
+    "AttachedBody",
     "ImportedArm",
     "JointLimits",
     "LinkMeshes",
-    "attached",
+    "attach",
     "body_name",
     "capsule_fit",
     "chain_of_file",
