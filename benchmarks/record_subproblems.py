@@ -19,7 +19,8 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import jacobian
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Problem
 from htcp_jax.numerics import null_basis
 from htcp_jax.planning.batch import plan

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import hardware
 from htcp_jax.jobs.build import scene
-from htcp_jax.model.scenario import with_own_tool
+from htcp_jax.model.scenario_setup import with_own_tool
 from htcp_jax.motion.motion import motion
 from htcp_jax.runs import open_plans
 from htcp_jax.trajectory.blends import blends, motion_slack

@@ -10,13 +10,13 @@ from .model.arm_features import axis_of, point_of
 from .model.inverse_kinematics import reanchor
 from .model.kinematics import capsule_segments, jacobian, tcp_pose, tcp_position
 from .model.robot import lengthen_tool
-from .model.scenario import make_scenario
+from .model.scenario_setup import make_scenario
 from .motion.plans import Plans
 from .motion.problem import Problem
 from .numerics import capsule_point_distance, null_basis
 from .placement.place import place
+from .planning.extensions import register
 from .planning.method import Method
-from .planning.registry import register
 from .planning.tracking.null_space import null_space_objective
 from .report import charts
 from .report.reach_study import reach_study

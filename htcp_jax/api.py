@@ -14,7 +14,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import self_collision
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece
+from htcp_jax.model import Robot, Scenario, Workpiece, scenario_setup
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
@@ -107,7 +107,7 @@ class Plan:
     def workpiece_place(self) -> str:
         """Text with the workpiece's pose, in the world or on its link, and the origin subtracted from its files."""
         T = np.asarray(self.scenario.T_world_workpiece)
-        return scenarios.place_of(self.workpiece, T, self.robot.part_link)
+        return scenario_setup.place_of(self.workpiece, T, self.robot.part_link)
 
     @cached_property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -175,7 +175,7 @@ class Plan:
             "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
             **self._nearest_bodies(),
             "clearance is to": self.workpiece.walls,
-            "interior rule": f"{scenarios.interior_rule(self.workpiece, self.scenario)} "
+            "interior rule": f"{scenario_setup.interior_rule(self.workpiece, self.scenario)} "
             "(deep inside the part, bodies must stay within its convex hull)",
         }
 
@@ -444,7 +444,7 @@ def plan_job(
         task, execution = jobs.build.task_of_job(job, robot), Execution(device)
         made = robot, workpiece, scenario, job.settings, task, all_obstacles, execution
         plans = batch.plan(Problem.of(*made, check_starts=True), chosen, progress)
-        robot, scenario = scenarios.with_own_tool(robot, scenario)
+        robot, scenario = scenario_setup.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
 

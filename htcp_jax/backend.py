@@ -4,8 +4,12 @@
 context is part of the keys of all caches of traced and compiled functions, including nested ones. A variant for one
 device is therefore never used on another. The backend is read at trace time only, so it costs nothing when a compiled
 function runs. A function that is called directly, outside of a plan, is compiled for JAX's default device.
+
+GPU kernels are written in Pallas, for its Triton backend. They replace XLA loops, whose every iteration costs several
+launches. If `Backend.interprets` is True, they run in an interpreter, on any machine.
 """
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import cache
 from types import ModuleType
@@ -28,7 +32,7 @@ class Backend(NamedTuple):
     """Kind of device that a function is compiled for."""
 
     platform: str  # JAX's name: "cpu", "gpu", ...
-    has_kernels: bool = False  # True if the device can run the kernels of `htcp_jax.pallas`
+    has_kernels: bool = False  # True if the device can run the kernels, see `kernel`
     interprets: bool = False  # True if the kernels run in Pallas' interpreter, which works on any machine
 
     @classmethod
@@ -64,3 +68,30 @@ def default_device() -> jax.Device:
     """Return JAX's default device in this thread, which is also part of the keys of JAX's caches."""
     device = jax.config.jax_default_device
     return device if isinstance(device, jax.Device) else jax.local_devices(backend=device)[0]
+
+
+def instance() -> jax.Array:
+    """Return the index of the running instance of a kernel."""
+    from jax.experimental import pallas as pl
+
+    return pl.program_id(0)
+
+
+def kernel(program: Callable, out, programs: int, warps: int = 1) -> Callable:
+    """Return a function of arrays that runs a Pallas kernel.
+
+    Args:
+        program: Body of the kernel, called with references to the inputs and outputs.
+        out (list): Pytree with the shapes and types of the outputs.
+        programs: Number of instances of `program`, the size of the grid.
+        warps: Warps per instance.
+    """
+    from jax.experimental import pallas as pl  # here, as the import is slow and only GPUs need it
+
+    return pl.pallas_call(
+        program,
+        out_shape=out,
+        grid=(programs,),
+        compiler_params=triton().CompilerParams(num_warps=warps),
+        interpret=backend().interprets,
+    )

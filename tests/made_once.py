@@ -24,7 +24,7 @@ from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.duct import section
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.mesh_points import cover_mesh
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"

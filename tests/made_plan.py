@@ -10,7 +10,7 @@ from htcp_jax import api
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.jobs import load_config
 from htcp_jax.model.duct import duct_cloud, weld
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, ViaPoints
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import SegmentStatus, Status

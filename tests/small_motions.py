@@ -8,7 +8,7 @@ import made_once
 import numpy as np
 
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan

@@ -9,7 +9,7 @@ import pytest
 from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import concatenate, gather
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.motion.motion import transfers
 from htcp_jax.motion.plans import is_tracked

@@ -21,7 +21,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import capsule_segments
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.spec import GP50
 
 

@@ -115,7 +115,7 @@ class InterruptedMethod(Method):
 
 
 def test_ctrl_c_leaves_nothing_behind(here, capsys):
-    registry.register(InterruptedMethod())
+    registry.METHODS.register(InterruptedMethod())
     try:
         assert main(["plan", *SHORT, "--method", "interrupted", "--out", "out"]) == 130
     finally:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from htcp_jax.backend import Backend, compiled_for, triton
-from htcp_jax.clearance.distance.bounding_discs import as_segments, bounding_discs, lower_bounds, single, with_axes
-from htcp_jax.clearance.distance.branch_and_bound import FAN
 from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
+from htcp_jax.clearance.distance.clusters import FAN, as_segments, bounding_discs, lower_bounds, single, with_axes
 
 LANES = 8  # segments per search, as the capsules of a configuration
 EPS = np.finfo(float).eps

@@ -22,7 +22,8 @@ from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.model.kinematics import tcp_position, tip_segment
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.collision_checker import PLACES
 from htcp_jax.motion.home import begin_at_home, leave_home
@@ -223,7 +224,7 @@ class Spy(registry.Method):
 
 
 def planned_by(spy, scenarios):
-    registry.register(spy)
+    registry.METHODS.register(spy)
     try:
         return plan(in_duct(scenarios, threads=1), "spy")
     finally:

@@ -8,9 +8,9 @@ import toy
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import Workpiece
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Execution, Plans, Problem, Tried
-from htcp_jax.motion.dead_ends import DeadEnds
+from htcp_jax.motion.sparse_columns import DeadEnds
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.beam.dead_ends import FEW, MOST_MISSED
 from htcp_jax.settings import Settings, settings_of

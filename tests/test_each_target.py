@@ -16,7 +16,8 @@ from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.tool_cells import excluded
 from htcp_jax.reachability import Reach, initial_reachability, reachable_prefixes

@@ -26,8 +26,7 @@ from htcp_jax.runs import open_run
 from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
 from htcp_jax.spec import GP50
-from htcp_jax.system.process_exit import PART
-from htcp_jax.system.unfinished import temporary_folder
+from htcp_jax.system.unfinished import PART, temporary_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="phases are seen in /proc")
 LIMIT_S = 30.0  # 5 on a quiet machine

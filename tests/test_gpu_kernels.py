@@ -14,7 +14,7 @@ import qpsolvers
 from test_qp import ORACLE, dense_answer
 
 from htcp_jax.backend import Backend, compiled_for, triton
-from htcp_jax.solvers import cma_es, interior_point_gpu, square_roots_gpu
+from htcp_jax.solvers import cma_es, gpu_kernels
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
 pytestmark = pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
@@ -23,7 +23,7 @@ INTERPRETED = Backend("gpu", has_kernels=True, interprets=True)
 
 def one_by_kernel(H, c, G, h, tolerance=1e-11, iterations=30) -> DenseSolution:
     with compiled_for(INTERPRETED):
-        return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
+        return DenseSolution(*gpu_kernels.solve(H, c, G, h, tolerance, iterations))
 
 
 by_kernel = jax.jit(jax.vmap(one_by_kernel))
@@ -135,7 +135,7 @@ def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
 @jax.jit
 def square_roots(C):
     with compiled_for(INTERPRETED):
-        return jax.vmap(square_roots_gpu.square_roots)(C)
+        return jax.vmap(gpu_kernels.square_roots)(C)
 
 
 def covariances(n, count=50):

@@ -8,7 +8,7 @@ import pytest
 
 from htcp_jax.backend import Backend, compiled_for, triton
 from htcp_jax.clearance.distance.half_spaces import ROUNDING_M, crossed_facets, depths, half_spaces
-from htcp_jax.model.convex_hull import convex_hull
+from htcp_jax.model.workpiece import convex_hull
 
 NEEDS_KERNEL = pytest.mark.skipif(triton() is None, reason="this JAX has no Triton backend of Pallas")
 RNG = np.random.default_rng(0)

@@ -13,13 +13,13 @@ from htcp_jax.device import tables
 from htcp_jax.errors import InputError
 from htcp_jax.model import Task, Workpiece, kinematics
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
+from htcp_jax.model.scenario_setup import make_scenario
+from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.batch import Progress
-from htcp_jax.planning.beam.joint_steps import JointSteps
-from htcp_jax.planning.beam.tree import BeamTree
+from htcp_jax.planning.beam.tree import BeamTree, JointSteps
 from htcp_jax.planning.inserted_goals import PathParts, inserted, pieces_of
 from htcp_jax.spec import AxisRow, OrientationRow
 from htcp_jax.status import Kind, SegmentStatus, Status

@@ -14,7 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.parts.workpiece_source import GeneratedDuct, load_workpiece
 from htcp_jax.jobs import load_config, resolve
 from htcp_jax.jobs.build import resolved_scene, robot_of, scene
-from htcp_jax.model.scenario import place_of
+from htcp_jax.model.scenario_setup import place_of
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Status
 from htcp_jax.validation.records import read_results

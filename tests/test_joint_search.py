@@ -18,7 +18,8 @@ from htcp_jax.device import Executor
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import load_robot
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.joint_search import _JointTree, _Nodes, join
 from htcp_jax.motion.lane_inputs import lane_inputs

@@ -13,7 +13,8 @@ import stranger_jobs
 import toy
 
 import htcp_jax
-from htcp_jax.model.scenario import OutOfReach, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import OutOfReach
 from htcp_jax.model.task import TCP_POSITION
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.registry import names

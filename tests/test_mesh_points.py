@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import mesh_points
-from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, area, cover_mesh, pieces
+from htcp_jax.model import mesh_points, surface
+from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh
+from htcp_jax.model.surface import area, longest_edge_first, pieces
 
 MESHES = {
     "box": trimesh.creation.box((0.4, 0.36, 0.02)),
@@ -63,7 +64,7 @@ def test_a_triangles_covering_radius_is_attained_and_never_exceeded(corners):
     grid = np.array([(i, j, 120 - i - j) for i in range(121) for j in range(121 - i)]) / 120
     points = grid @ triangle
     furthest = np.linalg.norm(points[:, None] - triangle, axis=2).min(axis=1).max()
-    radius = mesh_points._covering_radius(mesh_points._longest_edge_first(np.moveaxis(triangle[None], 0, 2)))[0]
+    radius = mesh_points._covering_radius(longest_edge_first(np.moveaxis(triangle[None], 0, 2)))[0]
     longest = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).max()
     assert furthest <= radius * (1 + 1e-6) + ROOM and radius <= furthest + longest / 120 + ROOM
 
@@ -115,7 +116,7 @@ def test_what_cannot_be_sampled_is_one_line(options, words):
 
 
 def test_a_refusal_names_the_body_that_requires_the_spacing(monkeypatch):
-    monkeypatch.setattr(mesh_points, "MOST", 400_000)  # which is reached sooner
+    monkeypatch.setattr(surface, "MOST_POINTS", 400_000)  # which is reached sooner
     slivers = np.array([[[0, 0, y], [30, 0, y], [30, 1e-3, y]] for y in np.linspace(0, 1, 3000)])
     words = (
         r"points at a spacing of 0.0173 m, as fine as capsule tip with a radius of 1 mm requires; increase workpiece.m"

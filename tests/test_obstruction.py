@@ -16,7 +16,8 @@ from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.model import Workpiece
 from htcp_jax.model.duct import duct_cloud, weld
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.reachability.obstruction import blocked_target, obstruction, obstructions
 from htcp_jax.settings import Settings

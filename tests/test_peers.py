@@ -123,5 +123,5 @@ def _registered(method):
     from htcp_jax.planning import registry
 
     if method.name not in registry.names():
-        registry.register(method)
+        registry.METHODS.register(method)
     return method.name

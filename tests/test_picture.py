@@ -15,7 +15,7 @@ from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import ArmShape, capsule_segments, tip_segment
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.reachability import Obstruction
 from htcp_jax.status import Status
 from htcp_jax.viewer import draw_plan

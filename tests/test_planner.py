@@ -13,7 +13,7 @@ import toy
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Problem
 from htcp_jax.motion.start_check import check_start, start_contact
 from htcp_jax.motion.step_functions import ADVANCE, ADVANCE_SMALLEST, CLEAR, PREPARE

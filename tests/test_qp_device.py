@@ -9,14 +9,15 @@ from test_qp import WEIGHTS, batch, infeasible, random_batch
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.methods import BUILT_IN
 from htcp_jax.planning.tracking.engine import Engine
+from htcp_jax.planning.tracking.lanes import Work
 from htcp_jax.planning.tracking.step_qps import make_solver
-from htcp_jax.planning.tracking.work import Work
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.active_set import solve_step

@@ -12,14 +12,14 @@ import toy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.clearance import clearance
-from htcp_jax.clearance.proof.arm_exclusion import arm_cell, has_wrist, wrist
 from htcp_jax.clearance.proof.branch_exclusion import BRANCHES, branch, has_branches
-from htcp_jax.clearance.proof.exclusion import Bodies
+from htcp_jax.clearance.proof.exclusion import Bodies, arm_cell, has_wrist, wrist
 from htcp_jax.cli import main
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.model.kinematics import link_poses, point_positions, tcp_position
-from htcp_jax.model.scenario import make_scenario, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.tool_cells import BRANCH, TOOL, Cells, tool_cells
 from htcp_jax.reachability import reachable_prefixes

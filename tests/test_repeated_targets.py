@@ -10,9 +10,9 @@ import toy
 from htcp_jax.errors import InputError
 from htcp_jax.model import Task
 from htcp_jax.model import scenario as scenarios
+from htcp_jax.model.built_in_rows import AxisTowards
 from htcp_jax.model.path_frames import tangents
-from htcp_jax.model.scenario import make_scenario
-from htcp_jax.model.task_rows import AxisTowards
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import motion as motions
 from htcp_jax.planning.batch import Progress
 from htcp_jax.planning.repeated_targets import are_distinct

@@ -14,7 +14,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs.build import task_of_job
 from htcp_jax.model import Workpiece
 from htcp_jax.model.duct import duct_cloud
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.reachability.obstruction import obstruction
 from htcp_jax.runs.sweep import sweep
 from htcp_jax.status import Status

@@ -16,7 +16,7 @@ from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.model import PathFrames, Task, Workpiece
 from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.settings import Settings
 from htcp_jax.spec import GP50, AxisRow, BuiltInRow, OrientationRow, PointRow
 from htcp_jax.validation.mujoco_arm import MujocoArm

@@ -15,8 +15,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid_axes import ScenarioPoint
-from htcp_jax.motion.dead_ends import DeadEnds, Tried
 from htcp_jax.motion.plans import ARRAYS, NO_TARGET
+from htcp_jax.motion.sparse_columns import DeadEnds, Tried
 from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import Manifest, Span

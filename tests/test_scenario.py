@@ -12,7 +12,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.model.scenario import make_scenario, path_targets, stack
+from htcp_jax.model.scenario import stack
+from htcp_jax.model.scenario_setup import make_scenario, path_targets
 
 POSE = (0.4, 0.1)
 

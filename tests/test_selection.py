@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.selection import dispersed
+from htcp_jax.motion.configurations import dispersed
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.beam.tree import LEAST, BeamTree, Nodes, best_first
 

@@ -11,7 +11,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
 from htcp_jax.model import Task, Workpiece
-from htcp_jax.model.scenario import make_scenario, stack, without_pose
+from htcp_jax.model.scenario import stack, without_pose
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.start_cause import nearest_bodies, start_causes
 from htcp_jax.motion.start_check import check_start

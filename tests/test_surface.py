@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.model.surface import CORNERS, Surface, discs, surface_of
+from htcp_jax.model.surface import Surface, surface_of
+from htcp_jax.viewer.drawn_meshes import CORNERS, discs
 
 
 def tube(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

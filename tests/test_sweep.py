@@ -209,7 +209,7 @@ class Stopped(Method):
 
 
 def test_the_command_says_how_to_go_on_after_a_signal(small, capsys):
-    registry.register(Stopped())
+    registry.METHODS.register(Stopped())
     try:
         assert main(["sweep", "grid.yaml", "--methods", "stopped", "--shard", "1", "--out", "run"]) == 143
     finally:

@@ -15,7 +15,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_position
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.model.task import TCP_POSITION
 from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.motion import Problem

@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import Task
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.rotations import axis_error, rotation_vector
-from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, TaskPoint
+from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.numerics import null_basis
 
 Z, SKEW = (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)

@@ -20,7 +20,7 @@ from htcp_jax.jobs.build import drawn_of, obstacles_of, robot_of, scene, workpie
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach, tcp_position
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.runs.identity import config_hash, identity
 
 UNITS = {"millimetres": 1e3, "inches": 1 / 0.0254, "centimetres": 1e2, "kilometres": 1e-3}

@@ -18,7 +18,7 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import robot_of, scenario_of, scene, workpiece_of
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.kinematics import capsule_segments, tip_segment
-from htcp_jax.model.scenario import interior_rule
+from htcp_jax.model.scenario_setup import interior_rule
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning.registry import names
 from htcp_jax.runs.parameters import Parameters

@@ -14,7 +14,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.robot import lengthen_tool
-from htcp_jax.model.scenario import make_scenario
+from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan

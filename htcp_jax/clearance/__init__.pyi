@@ -1,6 +1,15 @@
-from .obstacles.obstacle import HasWorkpiecePose, Obstacle, Obstacles, by_pieces, in_workpiece, rows_of, surface_points
+from .obstacles.obstacle import (
+    HasWorkpiecePose,
+    Obstacle,
+    Obstacles,
+    Scene,
+    by_pieces,
+    in_workpiece,
+    own_scene,
+    rows_of,
+    surface_points,
+)
 from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
-from .obstacles.scene import Scene, own_scene
 
 __all__ = [
     "ClearanceRows",

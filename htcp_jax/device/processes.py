@@ -8,12 +8,13 @@ notebook or a script without a guard. If a worker dies, an error is raised, and 
 standard library's pools do neither, and Ray needs a server.
 """
 
+import contextlib
 import os
 import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from hashlib import sha256
@@ -25,7 +26,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import Lost
-from htcp_jax.system import signals_blocked, temporary_folder
+from htcp_jax.system import temporary_folder
 
 POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
@@ -103,7 +104,7 @@ def spread(
         file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
         board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
-        with signals_blocked():
+        with _signals_blocked():
             workers, began = _executor(processes), time.perf_counter()
             started = [workers.submit(ready) for _ in range(processes)]
         try:
@@ -117,6 +118,23 @@ def spread(
             if isinstance(error, BrokenProcessPool):
                 raise Lost("a worker process was killed; it may have run out of memory") from None
             raise
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """Return a context in which this thread, and processes that it starts, block SIGINT and SIGTERM.
+
+    A terminal and `timeout` send these signals to all processes of a group. Only another thread of the parent process
+    then handles them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:

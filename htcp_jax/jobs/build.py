@@ -20,9 +20,8 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
-from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, surface
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, scenario_setup, surface
 from htcp_jax.model import robot as robots
-from htcp_jax.model import scenario as scenarios
 from htcp_jax.model import workpiece as workpieces
 from htcp_jax.spec import (
     SEAMS,
@@ -170,7 +169,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         warnings.warn(
             f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
             f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm; set a smaller "
-            f"{mesh_points.KEY}",
+            f"{surface.KEY}",
             UserWarning,
             stacklevel=2,
         )
@@ -215,7 +214,7 @@ def scenario_of(
         follows: World position, in the start configuration, of the point that follows the path [m]; None: computed.
     """
     part, task = job.workpiece, task_of_job(job, robot)
-    scenario = scenarios.make_scenario(
+    scenario = scenario_setup.make_scenario(
         robot,
         workpiece,
         job.start,

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from htcp_jax.model.mesh_points import area
+from htcp_jax.model.surface import area
 
 PRIMITIVES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}  # shape -> number of its sizes
 KINDS = (*PRIMITIVES, "mesh")

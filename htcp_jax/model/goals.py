@@ -15,12 +15,14 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import point_of
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import frame_turns
 from htcp_jax.model.rows_of_spec import PlacedPath, drawn_goal, goals_of, row_of
-from htcp_jax.model.scenario import Scenario, with_tool
+from htcp_jax.model.scenario import Scenario
+from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
-from htcp_jax.model.task_rows import AxisTowards, FrameOrientation, PointAlong, Row, TaskPoint
+from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, PointRow, TaskRowKind, path_row
 

@@ -22,17 +22,22 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.model import kinematics
 from htcp_jax.model.robot import Robot, capsule_label
+from htcp_jax.model.surface import (
+    Corners,
+    Triangles,
+    area,
+    check_count,
+    components_dot,
+    halved_triangles,
+    longest_edge_first,
+    square_norm,
+)
 
-MOST = 3_000_000  # points
 FEW, MANY = 20_000, 300_000  # default number of points: about FEW for thick bodies, at most about MANY for thin ones
 THINNED, EXCESS = 80_000, 3  # a cover for which THINNED points suffice is thinned out if it has EXCESS times as many
 SHARE = 4  # ratio of a body's radius to the default covering radius
 FINEST_M = 0.002  # minimum of the default covering radius
 ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
-KEY = "workpiece.mesh_spacing_m"
-
-Triangles = Float[np.ndarray, "F 3 3"]
-Corners = Float[np.ndarray, "3 3 F"]  # triangles by corner and coordinate, as numpy is fastest along the last axis
 
 
 class PointCover(NamedTuple):
@@ -94,20 +99,20 @@ def cover_mesh(
     if spacing is None and body is not None and wanted < _default_radius(total, None):
         required += f", as fine as {body.label} with a radius of {1e3 * body.radius_m:.4g} mm requires"
     regular = total / (2 * wanted**2)  # number of points of a square grid
-    _check_count(regular, required, source)
+    check_count(regular, required, source)
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     points, reached, done = [*left], 0.0, 0
     while left.shape[2]:
-        left = _longest_edge_first(left)
+        left = longest_edge_first(left)
         reach = _covering_radius(left)
         coarse = reach > wanted
         reached = max(reached, float(reach[~coarse].max(initial=0.0)))
         done += reach.size - int(coarse.sum())
-        left, middle = _halved_triangles(left[:, :, coarse])
+        left, middle = halved_triangles(left[:, :, coarse])
         points.append(middle)
         if regular < THINNED and done + left.shape[2] > 2 * EXCESS * max(regular, FEW):
             return _thinned_cover(triangles, wanted, required, source)
-        _check_count((done + left.shape[2]) / 2, required, source)
+        check_count((done + left.shape[2]) / 2, required, source)
     return PointCover(_distinct_points(np.concatenate(points, axis=1).T), reached * (1 + ROUNDING))
 
 
@@ -119,7 +124,7 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
     """
     left, kept = np.ascontiguousarray(np.moveaxis(triangles, 0, 2)), np.empty((0, 3))
     while left.shape[2]:
-        left = _longest_edge_first(left)
+        left = longest_edge_first(left)
         extent = _furthest_corner(left, left.mean(axis=0))
         if len(kept) and (fitting := np.flatnonzero(extent <= radius_m)).size:
             parts = left[:, :, fitting]
@@ -129,8 +134,8 @@ def _thinned_cover(triangles: Triangles, radius_m: float, required: str, source:
             left, extent = (np.delete(each, fitting[is_covered], axis=-1) for each in (left, extent))
         is_small = extent <= radius_m / 2
         kept = np.concatenate([kept, _greedy_middles(left[:, :, is_small], radius_m)])
-        left, _ = _halved_triangles(left[:, :, ~is_small])
-        _check_count(left.shape[2] / 2, required, source)
+        left, _ = halved_triangles(left[:, :, ~is_small])
+        check_count(left.shape[2] / 2, required, source)
     return PointCover(kept, radius_m * (1 + ROUNDING))
 
 
@@ -148,7 +153,7 @@ def _greedy_middles(corners: Corners, radius_m: float) -> Float[np.ndarray, "P 3
 
 def _furthest_corner(corners: Corners, point: Float[np.ndarray, "3 #F"]) -> Float[np.ndarray, "F"]:
     """Return the distance of each triangle's furthest corner from a point [m]; one point per triangle."""
-    return np.sqrt(np.max([_square_norm(corner - point) for corner in corners], axis=0))
+    return np.sqrt(np.max([square_norm(corner - point) for corner in corners], axis=0))
 
 
 def _default_radius(total: float, body: NearbyBody | None) -> float:
@@ -158,78 +163,20 @@ def _default_radius(total: float, body: NearbyBody | None) -> float:
     return max(min(required, coarsest), finest)
 
 
-def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
-    """Cut the triangles until no edge is longer than `edge_m`.
-
-    Raises:
-        InputError: For more than 2 MOST pieces.
-    """
-    left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
-    done, count = [], 0
-    while left.shape[2]:
-        left = _longest_edge_first(left)
-        coarse = _square_norm(left[1] - left[0]) > edge_m**2
-        done.append(left[:, :, ~coarse])
-        count += done[-1].shape[2]
-        left, _ = _halved_triangles(left[:, :, coarse])
-        _check_count((count + left.shape[2]) / 2, f"a spacing of {edge_m:.3g} m", source)
-    return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
-
-
-def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
-    """Return the area of each triangle [m2]."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-
-
 def _covering_radius(corners: Corners) -> Float[np.ndarray, "F"]:
     """Return each triangle's covering radius [m]. The longest edge is from b to c, so the largest angle is at a."""
     b, c, a = corners
     bc, ba, ca = c - b, a - b, a - c
-    square, square_b, square_c = _square_norm(bc), _square_norm(ba), _square_norm(ca)
+    square, square_b, square_c = square_norm(bc), square_norm(ba), square_norm(ca)
     with np.errstate(divide="ignore", invalid="ignore"):
         # |b - a| |c - a| |b - c| / (4 area), squared; 16 area^2 = 4 |bc x ba|^2
-        acute = square * square_b * square_c / (4 * _square_norm(np.cross(bc, ba, axis=0)))
-        obtuse = square * np.fmax(square_b / _components_dot(ba, bc), -square_c / _components_dot(ca, bc)) ** 2 / 4
-    is_acute = _components_dot(ba, ca) > 0
+        acute = square * square_b * square_c / (4 * square_norm(np.cross(bc, ba, axis=0)))
+        obtuse = square * np.fmax(square_b / components_dot(ba, bc), -square_c / components_dot(ca, bc)) ** 2 / 4
+    is_acute = components_dot(ba, ca) > 0
     return np.sqrt(np.where(is_acute, np.fmin(acute, square / 3), np.fmin(obtuse, square / 4)))
-
-
-def _halved_triangles(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
-    """Cut each triangle in two at the middle of its first edge, the longest; return the halves and the middles.
-
-    Two triangles that share such an edge get the same middle, bit for bit.
-    """
-    b, c, a = corners
-    middle = (b + c) / 2
-    return np.concatenate([np.stack([a, b, middle]), np.stack([c, a, middle])], axis=2), middle
-
-
-def _longest_edge_first(corners: Corners) -> Corners:
-    """Reorder each triangle's corners cyclically so that its longest edge comes first."""
-    a, b, c = corners
-    ab, bc, ca = _square_norm(b - a), _square_norm(c - b), _square_norm(a - c)
-    from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
-    turned = corners.copy()
-    turned[:, :, from_b] = corners[[1, 2, 0]][:, :, from_b]
-    turned[:, :, from_c] = corners[[2, 0, 1]][:, :, from_c]
-    return turned
 
 
 def _distinct_points(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "p 3"]:
     points = points + 0.0  # -0.0 is 0.0
     points = points[np.lexsort(points.T)]
     return points[np.concatenate([[True], (points[1:] != points[:-1]).any(axis=1)])]
-
-
-def _components_dot(u: Float[np.ndarray, "3 F"], v: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-def _square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
-    return _components_dot(u, u)
-
-
-def _check_count(points: float, spacing: str, source: str) -> None:
-    if points > MOST:
-        raise InputError(f"{source}: more than {MOST:,} points at {spacing}; increase {KEY}")

@@ -15,10 +15,11 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.arm_features import axis_of, frame_of, point_of
+from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.robot import ArmFrame, Robot
 from htcp_jax.model.rotations import turned_directions
 from htcp_jax.model.row_bounds import RateBound
-from htcp_jax.model.task_rows import SLACK, AxisTowards, Feature, FrameOrientation, PointAlong, Row, TaskPoint, mixed
+from htcp_jax.model.task_rows import SLACK, Feature, Row, TaskPoint, mixed
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
 from htcp_jax.spec import (

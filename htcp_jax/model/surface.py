@@ -1,4 +1,7 @@
-"""Surface of a point cloud for drawing: a normal and a small disc for every point; neighbouring discs overlap."""
+"""Surfaces: the points of a cloud, each with a normal and a small disc, and the triangles of a mesh, cut into pieces.
+
+The discs of neighbouring points overlap. A triangle is cut at the middle of its longest edge.
+"""
 
 from typing import NamedTuple
 
@@ -6,10 +9,16 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
+from htcp_jax.errors import InputError
+
 MOST = 60_000  # maximum number of points drawn
 NEIGHBOURS, REACHED = 24, 8  # neighbours to which a normal is fitted; a disc extends beyond the REACHED-th neighbour
-CORNERS, SURROUNDINGS = 6, 500
-THINNEST_M = 1e-4  # minimum radius of a hull
+SURROUNDINGS = 500  # maximum number of points of the cloud to which a normal is directed
+MOST_POINTS = 3_000_000  # maximum number of points on a mesh
+KEY = "workpiece.mesh_spacing_m"
+
+Triangles = Float[np.ndarray, "F 3 3"]
+Corners = Float[np.ndarray, "3 3 F"]  # triangles by corner and coordinate, as numpy is fastest along the last axis
 
 
 class Surface(NamedTuple):
@@ -41,14 +50,6 @@ class WorldGeometry(NamedTuple):
 
 
 NOTHING = WorldGeometry(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
-
-
-class Mesh(NamedTuple):
-    """Triangles, counterclockwise as seen from the side that their normals point to."""
-
-    vertices: Float[np.ndarray, "V 3"]
-    normals: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
 
 
 def surface_of(cloud: Float[np.ndarray, "P 3"], most: int = MOST) -> Surface:
@@ -91,34 +92,62 @@ def _inwards(
     return normals * np.where(((middle - points) * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
-def discs(surface: Surface, side: int = 1, corners: int = CORNERS) -> Mesh:
-    """Return a mesh with one disc per point; a disc is a polygon, visible from the side of its normal.
+def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray, "G 3 3"]:
+    """Cut the triangles until no edge is longer than `edge_m`.
 
-    Args:
-        surface: The points, their normals and radii.
-        side: 1, or -1 for polygons visible from the other side.
-        corners: Number of corners of each polygon.
+    Raises:
+        InputError: For more than 2 MOST_POINTS pieces.
     """
-    normals = side * surface.normals
-    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    first *= (surface.radius / np.linalg.norm(first, axis=1))[:, None]
-    second = np.cross(normals, first)
-    angle = 2 * np.pi * np.arange(corners) / corners
-    around = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
-    fan = np.array([[0, k, k + 1] for k in range(1, corners - 1)])
-    return Mesh(
-        vertices=(surface.points[:, None] + around).reshape(-1, 3),
-        normals=np.repeat(normals, corners, axis=0),
-        faces=(corners * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
-    )
+    left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
+    done, count = [], 0
+    while left.shape[2]:
+        left = longest_edge_first(left)
+        coarse = square_norm(left[1] - left[0]) > edge_m**2
+        done.append(left[:, :, ~coarse])
+        count += done[-1].shape[2]
+        left, _ = halved_triangles(left[:, :, coarse])
+        check_count((count + left.shape[2]) / 2, f"a spacing of {edge_m:.3g} m", source)
+    return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
 
 
-def rounded_hull(
-    points: Float[np.ndarray, "P 3"], radius: float
-) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-    """Return vertices [m] and triangles of the convex hull of points, thickened by a radius [m]."""
-    from trimesh import convex, creation  # a slow import that `plan.png` does not need
+def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
+    """Return the area of each triangle [m2]."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
-    ball = max(radius, THINNEST_M) * creation.icosphere(subdivisions=1).vertices
-    hull = convex.convex_hull((points[:, None] + ball).reshape(-1, 3))
-    return np.array(hull.vertices), np.array(hull.faces)
+
+def halved_triangles(corners: Corners) -> tuple[Float[np.ndarray, "3 3 2*F"], Float[np.ndarray, "3 F"]]:
+    """Cut each triangle in two at the middle of its first edge, the longest; return the halves and the middles.
+
+    Two triangles that share such an edge get the same middle, bit for bit.
+    """
+    b, c, a = corners
+    middle = (b + c) / 2
+    return np.concatenate([np.stack([a, b, middle]), np.stack([c, a, middle])], axis=2), middle
+
+
+def longest_edge_first(corners: Corners) -> Corners:
+    """Reorder each triangle's corners cyclically so that its longest edge comes first."""
+    a, b, c = corners
+    ab, bc, ca = square_norm(b - a), square_norm(c - b), square_norm(a - c)
+    from_b, from_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
+    turned = corners.copy()
+    turned[:, :, from_b] = corners[[1, 2, 0]][:, :, from_b]
+    turned[:, :, from_c] = corners[[2, 0, 1]][:, :, from_c]
+    return turned
+
+
+def components_dot(u: Float[np.ndarray, "3 F"], v: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+    """Return the scalar product of each pair of vectors [m2]."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
+    """Return the squared length of each vector [m2]."""
+    return components_dot(u, u)
+
+
+def check_count(points: float, spacing: str, source: str) -> None:
+    """Raise an InputError for more than MOST_POINTS points."""
+    if points > MOST_POINTS:
+        raise InputError(f"{source}: more than {MOST_POINTS:,} points at {spacing}; increase {KEY}")

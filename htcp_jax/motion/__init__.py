@@ -7,10 +7,10 @@ start to its last target. `CollisionChecker` checks configurations and the joint
 
 `start_check` checks single starts, `start_cause` finds the reason for a start that fails, `motion_check` verifies each
 segment, `home` joins the home configuration to the start, and `smoothing` shortens a motion within its margin.
-`configuration_tree` stores configurations with their parents, `selection` selects configurations that are far apart,
-and `transfers` joins a start to other configurations. `tool_cells` and `exclusions` prove that a target has no clear
-configuration. `step_functions` has the compiled functions of one lane, `lane_inputs` their inputs. `plans` computes
-outcomes; `motion` computes figures such as cost, curvature and clearance.
+`configurations` selects configurations that are far apart, and stores them in trees; `transfers` joins a start to other
+configurations. `tool_cells` proves that a target has no clear configuration. `step_functions` has the compiled
+functions of one lane, `lane_inputs` their inputs. `plans` computes outcomes; `motion` computes figures such as cost,
+curvature and clearance.
 """
 
 import lazy_loader

@@ -1,16 +1,13 @@
 from . import (
     arm_poses,
     collision_checker,
-    configuration_tree,
-    dead_ends,
-    exclusions,
+    configurations,
     home,
     lane_inputs,
     manipulability,
     motion,
     motion_check,
     plans,
-    selection,
     smoothing,
     start_cause,
     start_check,
@@ -19,15 +16,14 @@ from . import (
     transfers,
 )
 from .collision_checker import CollisionChecker
-from .dead_ends import Tried
-from .execution import Execution
 from .motion import Motion
 from .plans import Plans
-from .problem import Problem
-from .via_points import ViaPoints
+from .problem import Execution, Problem
+from .sparse_columns import DeadEnds, Tried, ViaPoints
 
 __all__ = [
     "CollisionChecker",
+    "DeadEnds",
     "Execution",
     "Motion",
     "Plans",
@@ -36,16 +32,13 @@ __all__ = [
     "ViaPoints",
     "arm_poses",
     "collision_checker",
-    "configuration_tree",
-    "dead_ends",
-    "exclusions",
+    "configurations",
     "home",
     "lane_inputs",
     "manipulability",
     "motion",
     "motion_check",
     "plans",
-    "selection",
     "smoothing",
     "start_cause",
     "start_check",

@@ -21,8 +21,8 @@ from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.sparse_columns import ViaPoints
 from htcp_jax.motion.transfers import other_configurations
-from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.status import Status
 
 ROUNDS, FIRST_ROUND = 4, 100  # number of rounds of sampled starts; number of the first one, unused by transfers

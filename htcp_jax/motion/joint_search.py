@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.model import Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
-from htcp_jax.motion.configuration_tree import NO_PARENT, Tree
+from htcp_jax.motion.configurations import NO_PARENT, Tree
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus

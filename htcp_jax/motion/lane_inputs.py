@@ -60,7 +60,7 @@ def longest_joint_steps(scenarios: Scenario, scenario: np.ndarray, row: np.ndarr
     """Return the maximum travel of each joint from the previous target [rad or m]; None if it is unlimited.
 
     Each part of a segment with inserted goals gets its share of the maximum. A search that adds up the travel on a
-    segment may allow more, see `planning.beam.joint_steps`.
+    segment may allow more, see `planning.beam.tree`.
 
     Args:
         scenarios: Stacked scenarios.

@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.proof import bisection, motion_proof
 from htcp_jax.device import tables
+from htcp_jax.model import ONE_POINT_M
 from htcp_jax.model import task as tasks
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.motion import ONE_POINT_M
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.status import SegmentStatus

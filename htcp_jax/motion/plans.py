@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from htcp_jax.motion.dead_ends import DeadEnds
-from htcp_jax.motion.via_points import ViaPoints
+from htcp_jax.motion.sparse_columns import DeadEnds, ViaPoints
 from htcp_jax.status import MOTION, SegmentStatus, Status
 
 NO_TARGET = -1  # status: the scenario has no such target, or is not planned yet

@@ -22,8 +22,8 @@ from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import StraightPaths, prove_segments
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.sparse_columns import ViaPoints
 from htcp_jax.motion.step_functions import TASK_ROWS, State
-from htcp_jax.motion.via_points import ViaPoints
 from htcp_jax.solvers import path_qp
 from htcp_jax.status import SegmentStatus
 

@@ -12,7 +12,9 @@ collides or violates a joint limit; a cell is excluded if it has no branch left 
 
 For other arms with a wrist there is a second cover: boxes of values of the joints before the wrist. At each step the
 cells of the smaller cover are halved. A cell is removed if it certainly collides, or if its wrist position cannot
-coincide with that of any cell in the other cover (`arm_exclusion`). An arm without a wrist has only the first cover.
+coincide with that of any cell in the other cover (`exclusion`). An arm without a wrist has only the first cover.
+
+`exclusions` names the fewest bodies of the arm with which a target is proven to have no clear configuration.
 """
 
 from typing import NamedTuple
@@ -23,11 +25,12 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof import arm_exclusion, branch_exclusion, exclusion
+from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
-from htcp_jax.model import Robot, rotations
+from htcp_jax.model import Robot, kinematics, rotations
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
+from htcp_jax.status import Exclusion
 
 MANY = lane_function.DeviceSizes(
     cpu=lane_function.BatchSize(1024, 1), gpu=lane_function.BatchSize(4096, 4096)
@@ -35,6 +38,11 @@ MANY = lane_function.DeviceSizes(
 FACES = 4
 FINEST = 2.0**-24  # smallest half side of a cube
 ROUNDING_RAD = 1e-8  # upper bound on the rounding error of any angle
+SMALLEST_FIRST = {
+    exclusion.Bodies.NONE: Exclusion.OUT_OF_REACH,
+    exclusion.Bodies.TOOL: Exclusion.TOOL,
+    exclusion.Bodies.WRIST: Exclusion.WRIST,
+}
 
 
 class Cells(NamedTuple):
@@ -72,7 +80,7 @@ class Cells(NamedTuple):
         )
 
 
-def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bodies) -> arm_exclusion.CellBounds:
+def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bodies) -> exclusion.CellBounds:
     """Return the `CellBounds` of the tool's orientations within `rho` of a quaternion.
 
     An orientation that violates a row of the task counts as colliding.
@@ -87,12 +95,12 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
     """
     robot, task = scene.robot, scene.task
     cell = exclusion.ToolCell(task.tcp_place(lane.target), quaternion, rho)
-    bounds = arm_exclusion.tool_cell(scene, lane, cell, bodies)
+    bounds = exclusion.tool_cell(scene, lane, cell, bodies)
     turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
     return bounds._replace(collides=bounds.collides | (turn > rho + ROUNDING_RAD))
 
 
-def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> arm_exclusion.CellBounds:
+def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> exclusion.CellBounds:
     """Return the `CellBounds` of a box of the joints before the wrist.
 
     The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
@@ -109,9 +117,9 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
     upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
-    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, arm_exclusion.WRIST)))
+    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, exclusion.WRIST)))
     turns = 0.5 * (upper - lower) * half
-    return arm_exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
+    return exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
 
 
 def branch(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, number, bodies):
@@ -158,8 +166,8 @@ def tool_cells(
     lanes = len(inputs.row)
     by_branch = robot is not None and branch_exclusion.has_branches(robot)
     covers = [_complete_cover(lanes, FACES, 3)]
-    if robot is not None and not by_branch and arm_exclusion.has_wrist(robot):
-        covers.append(_complete_cover(lanes, 1, len(robot.slides) - arm_exclusion.WRIST))
+    if robot is not None and not by_branch and exclusion.has_wrist(robot):
+        covers.append(_complete_cover(lanes, 1, len(robot.slides) - exclusion.WRIST))
     going, done = np.ones(lanes, bool), []
     while going.any():
         smaller = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
@@ -257,3 +265,29 @@ def _meets(own: Cells, other: Cells) -> Bool[np.ndarray, "n"]:
         away = scipy.spatial.cKDTree(other.wrist[there]).query(own.wrist[here])[0]
         meets[here] = away <= own.moves[here] + other.moves[there].max()
     return meets
+
+
+def exclusions(executor: Executor, robot: Robot, inputs: LaneInputs, cells: int) -> Int[np.ndarray, "n"]:
+    """Return, for each of n targets, why it has no clear configuration: an `Exclusion`, NONE without a proof.
+
+    Args:
+        executor: Compiled functions of the scene, whose task fixes the TCP's position.
+        robot: The arm, without the scenarios' tool extensions.
+        inputs: The lanes' inputs, one row per target.
+        cells: Maximum number of cells of a proof, see `tool_cells.excluded`.
+    """
+    found = np.where(_beyond(executor, robot, inputs), Exclusion.OUT_OF_REACH, Exclusion.NONE).astype(int)
+    of, proofs = Exclusion.NONE, {exclusion.Bodies.ARM: Exclusion.ARM} | SMALLEST_FIRST
+    for bodies, reason in proofs.items():
+        left = np.flatnonzero(found == of)
+        if len(left):
+            found[left[excluded(executor, robot, tables.gather(inputs, left), cells, bodies)]] = reason
+        of = Exclusion.ARM
+    return found
+
+
+def _beyond(executor: Executor, robot: Robot, inputs: LaneInputs) -> Bool[np.ndarray, "n"]:
+    """Return True for targets farther away from the base than the length of the arm."""
+    task = executor.task
+    away = np.linalg.norm(task.tcp_place(inputs.target) - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=1)
+    return away > kinematics.max_reach(robot) + inputs.tool_extension_m + task.tolerance_m

@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.configurations import dispersed
 from htcp_jax.motion.joint_search import Limits, join
 from htcp_jax.motion.problem import Problem
-from htcp_jax.motion.selection import dispersed
 from htcp_jax.motion.step_functions import State
 
 DRAWS = 512  # configurations sampled at the first target

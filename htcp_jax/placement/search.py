@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from htcp_jax.motion import selection
+from htcp_jax.motion import configurations
 
 if TYPE_CHECKING:
     import cma
@@ -74,7 +74,7 @@ def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> li
         order: Indices of the mountings, best first, (n,).
         count: Maximum number of mountings.
     """
-    return order[selection.first_apart(u[order], count, APART, np.inf)].tolist()
+    return order[configurations.first_apart(u[order], count, APART, np.inf)].tolist()
 
 
 class Evolution:

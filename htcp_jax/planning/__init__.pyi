@@ -1,4 +1,4 @@
-from . import batch, inserted_goals, methods, registry
+from . import batch, extensions, inserted_goals, methods, registry
 from .batch import Progress
 from .method import Method, WarmUp
 
@@ -7,6 +7,7 @@ __all__ = [
     "Progress",
     "WarmUp",
     "batch",
+    "extensions",
     "inserted_goals",
     "methods",
     "registry",

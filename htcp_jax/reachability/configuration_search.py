@@ -23,7 +23,7 @@ from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device import lane_function, tables
 from htcp_jax.model import Robot, inverse_kinematics, kinematics, rotations
 from htcp_jax.model import robot as robots
-from htcp_jax.motion import CollisionChecker, lane_inputs, selection, step_functions, tool_cells
+from htcp_jax.motion import CollisionChecker, configurations, lane_inputs, step_functions, tool_cells
 from htcp_jax.numerics import product
 from htcp_jax.planning.tracking import stages
 from htcp_jax.settings import Settings
@@ -199,7 +199,7 @@ class ConfigurationSearch:
             own = own[np.unique(np.round(x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
             D = self._executor(MEASURE, tables.gather(inputs, lane[own]), x[own])
             own = own[np.argsort(-D, kind="stable")]
-            kept.append(own[selection.first_apart(x[own], PUSHED, APART_RAD)])
+            kept.append(own[configurations.first_apart(x[own], PUSHED, APART_RAD)])
         return tables.gather((lane, x), np.concatenate(kept))
 
     def _seeds(self, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells):
@@ -219,7 +219,7 @@ def _dispersed(x: np.ndarray, clearance: np.ndarray) -> np.ndarray:
     """Return up to CARRIED configurations: the clearest, then each time the one farthest from those selected so far."""
     if not len(x):
         return x
-    return x[selection.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
+    return x[configurations.farthest_first(x, int(np.argmax(clearance)), CARRIED, APART_RAD)]
 
 
 def _random_moves(inputs: lane_inputs.LaneInputs, k: int, round_: int, joints: int) -> np.ndarray:

@@ -6,7 +6,7 @@ nearest reachable targets, re-anchored and pushed clear. If this fails, the targ
 requested resolution.
 
 At an excluded target every configuration is proven to collide (`motion.tool_cells`). The reason is the smallest set of
-bodies that the proof needs (`motion.exclusions`): none (out of reach), the tool, the link before it (wrist), or the
+bodies that the proof needs (`motion.tool_cells`): none (out of reach), the tool, the link before it (wrist), or the
 arm.
 """
 
@@ -20,7 +20,7 @@ import scipy
 from jaxtyping import Float, Int
 
 from htcp_jax.model import Scenario
-from htcp_jax.motion import exclusions, lane_inputs
+from htcp_jax.motion import lane_inputs, tool_cells
 from htcp_jax.reachability.configuration_search import CARRIED, ConfigurationSearch
 from htcp_jax.status import Exclusion
 
@@ -199,6 +199,6 @@ class TargetJudge:
 
     def _excluded(self, cells: int, pairs: Pairs) -> tuple:
         executor, robot = self._search.checker.executor, self._search.robot
-        found = exclusions.exclusions(executor, robot, self._inputs(pairs), cells)
+        found = tool_cells.exclusions(executor, robot, self._inputs(pairs), cells)
         reach = np.where(found == Exclusion.NONE, Reach.UNDECIDED, found)
         return reach, np.full((len(pairs), self.x.shape[2]), np.nan), np.full(len(pairs), -np.inf)

@@ -12,7 +12,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.numerics import product
-from htcp_jax.solvers import square_roots_gpu
+from htcp_jax.solvers import gpu_kernels
 from htcp_jax.types import Array, Float, Scalar
 
 
@@ -117,7 +117,7 @@ def tell(
 def _square_roots_of(C):
     """Return B D with B D^2 B' = C, and C^(-1/2)."""
     if backend().has_kernels:
-        return square_roots_gpu.square_roots(C)
+        return gpu_kernels.square_roots(C)
     square, B = jnp.linalg.eigh(C)
     D = jnp.sqrt(jnp.maximum(square, 1e-20))
     return B * D[None, :], (B / D[None, :]) @ B.T

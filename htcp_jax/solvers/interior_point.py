@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from htcp_jax.backend import backend
 from htcp_jax.numerics import product, solve_spd
-from htcp_jax.solvers import interior_point_gpu
+from htcp_jax.solvers import gpu_kernels
 from htcp_jax.types import Array, Float, Int, Scalar
 
 
@@ -59,7 +59,7 @@ def solve_dense(
         The iterate with the smallest error.
     """
     if backend().has_kernels:
-        return DenseSolution(*interior_point_gpu.solve(H, c, G, h, tolerance, iterations))
+        return DenseSolution(*gpu_kernels.solve(H, c, G, h, tolerance, iterations))
     m = len(h)
 
     def step_length(value, change):

@@ -6,7 +6,6 @@ See `given_obstacle` and docs/add-an-obstacle.md. This module does not import JA
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
-from htcp_jax.spec import tool
 from htcp_jax.spec.kinds import ExtensionKind, kind_fault
 from htcp_jax.spec.registry import Registry
 from htcp_jax.types import Scalar, Vector3
@@ -25,8 +24,8 @@ class ObstacleShape(NamedTuple):
 
     type: str
     size_m: Sequence[float] = ()
-    position_m: Sequence[float] = tool.ZERO
-    rpy_rad: Sequence[float] = tool.ZERO
+    position_m: Sequence[float] = (0.0, 0.0, 0.0)
+    rpy_rad: Sequence[float] = (0.0, 0.0, 0.0)
 
 
 class ObstacleKind(ExtensionKind):

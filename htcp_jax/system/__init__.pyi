@@ -12,8 +12,8 @@ from .files import (
     read_tail,
 )
 from .lock import SignalReceived, locked, signals
-from .process_exit import INTERRUPTED, PART, is_watched, run, signals_blocked, stop_message
-from .unfinished import NO_LINK, READ, clear, lock_file, temporary_folder
+from .process_exit import INTERRUPTED, is_watched, run, stop_message
+from .unfinished import NO_LINK, PART, READ, clear, lock_file, temporary_folder
 
 __all__ = [
     "INTERRUPTED",
@@ -41,7 +41,6 @@ __all__ = [
     "read_tail",
     "run",
     "signals",
-    "signals_blocked",
     "stop_message",
     "temporary_folder",
     "unfinished",

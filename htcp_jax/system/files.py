@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.system.process_exit import PART
-from htcp_jax.system.unfinished import NO_LINK, READ, lock_file
+from htcp_jax.system.unfinished import NO_LINK, PART, READ, lock_file
 
 LARGEST_NAMED = 2 * 2**30  # maximum size of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # maximum size of any other file in a folder, and of decompressed data [bytes]

@@ -22,6 +22,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from htcp_jax.system.unfinished import PART
+
 try:
     import resource
 except ImportError:  # not a POSIX system
@@ -29,7 +31,6 @@ except ImportError:  # not a POSIX system
 
 GRACE_S = 3.0  # time for the main thread to end after a signal; also time for the exit functions
 ECHO_S = 0.5  # signals this soon after the first are ignored: `timeout` signals a process and then its group
-PART = ".part-"  # prefix of files that are being written
 LEAST_BYTES = 3 * 2**29  # minimum address space: with less, libraries abort the process
 FAILED, SIGNALLED = 1, 128
 HANDLED = signal.SIGINT, signal.SIGTERM
@@ -59,23 +60,6 @@ def stop_message(message: Callable[[], str]) -> Iterator[None]:
         yield
     finally:
         _messages.remove(message)
-
-
-@contextlib.contextmanager
-def signals_blocked() -> Iterator[None]:
-    """Return a context in which this thread, and processes that it starts, block SIGINT and SIGTERM.
-
-    A terminal and `timeout` send these signals to all processes of a group. Only another thread of the parent process
-    then handles them.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, HANDLED)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run(command: Callable[[], int]) -> NoReturn:

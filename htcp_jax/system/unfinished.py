@@ -11,13 +11,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from htcp_jax.system.process_exit import PART
-
 try:
     import fcntl
 except ImportError:  # not a POSIX system: nothing is locked
     fcntl = None
 
+PART = ".part-"  # prefix of files that are being written
 SCRATCH = "htcp-tmp-"
 # Flags for `os.open`. READ: do not wait for a pipe, and do not attach a terminal. NO_LINK: do not follow a link
 READ = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)

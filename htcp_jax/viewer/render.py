@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
-from htcp_jax.model import surface as surfaces
+from htcp_jax.viewer import drawn_meshes
 from htcp_jax.viewer.arm_pose import ArmPose, moved, seen, together
 from htcp_jax.viewer.camera import camera_pose, kept_points, lowest, middle_root, open_side
 from htcp_jax.viewer.colours import (
@@ -164,7 +164,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool)
         half = np.linalg.norm(q - p) / 2
         kind = {"type": _Geom.mjGEOM_CAPSULE} if half > 0 else {"type": _Geom.mjGEOM_SPHERE}
         if k in pieces:
-            vertices, faces = surfaces.rounded_hull(*pieces[k])
+            vertices, faces = drawn_meshes.rounded_hull(*pieces[k])
             spec.add_mesh(name=f"piece {k}", uservert=vertices.ravel(), userface=faces.ravel())
             kind = {"type": _Geom.mjGEOM_MESH, "meshname": f"piece {k}"}
         body = spec.worldbody.add_body(mocap=True)
@@ -183,7 +183,7 @@ def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool)
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         part.add_geom(name="colliding body", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(part, replay)
-    _add_cloud(spec, part, replay, surfaces.CORNERS if fine else FEW_CORNERS, from_part)
+    _add_cloud(spec, part, replay, drawn_meshes.CORNERS if fine else FEW_CORNERS, from_part)
     _add_fixtures(spec, part, replay)
     _add_surroundings(spec, replay, fine, from_part)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
@@ -215,7 +215,7 @@ def _add_cloud(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corner
     """Add the cloud, or its half behind the cut, as discs that are lighter inside than outside."""
     surface = replay.surface.only(kept_points(replay)) if cut else replay.surface
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
-        mesh = surfaces.discs(surface, side, corners)
+        mesh = drawn_meshes.discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid would have no volume
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
@@ -224,7 +224,7 @@ def _add_cloud(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corner
 
 def _add_fixtures(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay) -> None:
     """Add the other obstacles as one transparent mesh."""
-    both = [surfaces.discs(replay.fixtures.clouds, side) for side in (1, -1)]
+    both = [drawn_meshes.discs(replay.fixtures.clouds, side) for side in (1, -1)]
     corners = np.concatenate([replay.fixtures.triangles, *(mesh.vertices[mesh.faces] for mesh in both)]).reshape(-1, 3)
     if len(corners):
         faces, shell = np.arange(len(corners), dtype=np.int32), mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

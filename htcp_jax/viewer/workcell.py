@@ -11,8 +11,7 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import of_workpiece
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
-from htcp_jax.model import Robot, Scenario, Task, Workpiece
-from htcp_jax.model import scenario as scenarios
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario_setup
 from htcp_jax.model import surface as surfaces
 from htcp_jax.runs import PlanSet, parameters, plan_folder
 from htcp_jax.runs import open as plan_sets
@@ -170,4 +169,4 @@ def _shared(job: PlanConfig) -> tuple:
 def _placement(robot: Robot, workpiece: Workpiece, given: parameters.Parameters) -> Placement:
     turn = given.rotation_y_rad, given.rotation_z_rad
     T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
-    return Placement(T, scenarios.interior_plane_of(robot, workpiece, T), given.tool_extension_m)
+    return Placement(T, scenario_setup.interior_plane_of(robot, workpiece, T), given.tool_extension_m)

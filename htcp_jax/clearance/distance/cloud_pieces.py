@@ -10,9 +10,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.bounding_discs import as_segments, single, with_axes
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
-from htcp_jax.clearance.distance.cloud_tree_walk import empty_lists, for_each_leaf, in_reach
+from htcp_jax.clearance.distance.cloud_tree import empty_lists, for_each_leaf, in_reach
+from htcp_jax.clearance.distance.clusters import CloudIndex, as_segments, single, with_axes
 from htcp_jax.numerics import one_by_one, product
 from htcp_jax.types import Array, Float
 

@@ -11,10 +11,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance.distance.bounding_discs import LineSegments, lower_bounds, single, squared_distance
-from htcp_jax.clearance.distance.branch_and_bound import FAN, NONE_LEFT, least_number, number_mask, order_keys
-from htcp_jax.clearance.distance.cloud_index import CloudIndex
-from htcp_jax.pallas import instance, kernel
+from htcp_jax.backend import instance, kernel
+from htcp_jax.clearance.distance.clusters import (
+    FAN,
+    NONE_LEFT,
+    CloudIndex,
+    LineSegments,
+    least_number,
+    lower_bounds,
+    number_mask,
+    order_keys,
+    single,
+    squared_distance,
+)
 from htcp_jax.types import Array, Float, Int
 
 

@@ -2,7 +2,8 @@
 
 Usually no facet is crossed: most points lie inside the hull's core, a smaller polytope. This is tested in 32-bit floats
 with a tolerance for rounding. The other points, one in ten, are measured against every facet in 64-bit floats: one
-after another on a CPU, in parallel on a GPU (`half_spaces_gpu`).
+after another on a CPU, in parallel on a GPU. The GPU kernel has one instance per point, which returns at once if the
+point need not be measured.
 """
 
 from functools import partial
@@ -13,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from htcp_jax.backend import backend
+from htcp_jax.backend import backend, instance, kernel
 from htcp_jax.caching import cached_by_values
-from htcp_jax.clearance.distance.half_spaces_gpu import highest
 from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int
 
 ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
 CORE_VERTICES = 96  # maximum number of vertices of the core
 FAN = 16  # facets in a row of the table: the argmax, ten times slower than a maximum, then covers fewer numbers
+BLOCK = 256  # facets per block of the kernel
 
 
 class HalfSpaces(NamedTuple):
@@ -135,3 +136,40 @@ def _core_heights(hull: HalfSpaces, points):
     x, y, z = (a.astype(jnp.float32)[:, None] for a in points.T)
     core = [a.astype(jnp.float32)[None] for a in (*hull.core_normal.T, hull.core_offset)]
     return _heights(core, (x, y, z))
+
+
+def highest(
+    table: Float[Array, "4 rows FAN"], points: Float[Array, "n 3"], left: Bool[Array, "n"]
+) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
+    """Return the facet that each point in `left` is highest above (the first of several), and the height [m].
+
+    Args:
+        table: The facets: normal xyz, offset [m]; padded with the last facet.
+        points: The points [m].
+        left: True for the points to measure.
+    """
+    facets = table.reshape(4, -1)
+    blocks = -(-facets.shape[1] // BLOCK)
+    filled = jnp.pad(facets, ((0, 0), (0, blocks * BLOCK - facets.shape[1])), mode="edge")
+    out = [jax.ShapeDtypeStruct(left.shape, dtype) for dtype in (jnp.int32, points.dtype)]
+    own_blocks = jnp.where(left, jnp.int32(blocks), jnp.int32(0))
+    return tuple(kernel(_height_kernel, out, len(left))(points, own_blocks, filled))
+
+
+def _height_kernel(points, blocks, table, facet, height):
+    from jax.experimental import pallas as pl
+
+    k = instance()
+    x, y, z = (points[k, i] for i in range(3))
+    number = jax.lax.broadcasted_iota(jnp.int32, (BLOCK,), 0)
+
+    def step(block, state):
+        top, best = state
+        a, b, c, offset = (table[i, pl.ds(block * BLOCK, BLOCK)] for i in range(4))
+        here = a * x + b * y + c * z - offset
+        return jnp.maximum(top, here), jnp.where(here > top, block * BLOCK + number, best)
+
+    start = jnp.full(BLOCK, -jnp.inf, points.dtype), number
+    top, best = jax.lax.fori_loop(0, blocks[k], step, start)
+    height[k] = jnp.max(top)
+    facet[k] = jnp.min(jnp.where(top == jnp.max(top), best, table.shape[1]))

@@ -4,7 +4,7 @@ A kind of obstacle is a small pytree that derives from `Obstacle`, in a file of 
 [m] between a body of the arm and the surroundings, or another body. All kinds with `per_body` share one row per body,
 with the distance of the nearest obstacle. Any other kind has its own rows.
 
-`obstacle_kind` has a simpler base class for obstacles of other packages.
+`obstacle_kind` has a simpler base class for obstacles of other packages. A `Scene` has the obstacles of a plan.
 """
 
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -13,8 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
-from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import Robot, Task, kinematics
+from htcp_jax.model import robot as robots
+from htcp_jax.model import task as tasks
 from htcp_jax.numerics import product
+from htcp_jax.pytree import without_labels
 from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
 
 
@@ -214,3 +217,28 @@ def slopes(
     if any(link >= 0 for link in rows.other):
         motion = motion - kinematics.point_jacobians(robot, x, witness, rows.other)
     return jnp.sum(normal[:, :, None] * motion, axis=1)
+
+
+class Scene(NamedTuple):
+    """Robot, obstacles and task that all scenarios of a plan share."""
+
+    robot: Robot
+    obstacles: Obstacles
+    task: Task = tasks.TCP_POSITION
+
+    @property
+    def rows(self) -> RowPairs:
+        """Both sides of each row of clearance, see `RowPairs`."""
+        return rows_of(self.robot, self.obstacles)
+
+    def without_labels(self) -> "Scene":
+        """Return the scene without names and other data that only messages and files need.
+
+        Functions are compiled for such a scene, so that other names do not cause another compilation.
+        """
+        return self._replace(robot=without_labels(self.robot), obstacles=tuple(map(without_labels, self.obstacles)))
+
+
+def own_scene(scene: Scene, tool_extension_m: Scalar) -> Scene:
+    """Return the scene with the tool lengthened by a scenario's extension [m]."""
+    return scene._replace(robot=robots.lengthen_tool(scene.robot, tool_extension_m))

@@ -1,12 +1,36 @@
-"""Obstacles of a workpiece: the paper's O."""
+"""Obstacles of a workpiece: the paper's O, which is its points and the interior rule.
+
+By the interior rule, a body outside the cloud's convex hull deep inside the workpiece has a negative clearance. The
+interior begins at a plane, at a set depth behind the cloud's inlet. An end of a capsule's axis beyond this plane is
+called deep, and must lie in the cloud's convex hull. Otherwise the body's clearance is at most minus the end's distance
+outside the hull. A body whose deep ends all lie inside the hull is infinitely far from this obstacle. The crossed facet
+is found once and then fixed.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
 
 from htcp_jax.caching import cached_for_last
-from htcp_jax.clearance.distance.half_spaces import half_spaces
+from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths, half_spaces
+from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.cloud import cloud_of
-from htcp_jax.clearance.obstacles.interior import Interior
-from htcp_jax.clearance.obstacles.obstacle import Obstacles
+from htcp_jax.clearance.obstacles.obstacle import (
+    BodyAxes,
+    Contacts,
+    HasWorkpiecePose,
+    Obstacle,
+    Obstacles,
+    in_workpiece,
+)
 from htcp_jax.errors import InputError
-from htcp_jax.model import Workpiece
+from htcp_jax.model import Robot, Workpiece
+from htcp_jax.numerics import product
+from htcp_jax.pytree import register_pytree
+from htcp_jax.types import Bool, Float, Scalar
+
+NEAR_M = 0.05  # distance in front of the plane within which the depth in the hull is computed
 
 
 @cached_for_last(2)
@@ -33,3 +57,83 @@ def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
     if not found:
         raise InputError("no obstacles: set workpiece.cloud, cell.model or cell.clouds, or cell.self_collision: true")
     return found
+
+
+@register_pytree
+@dataclass(frozen=True)
+class Interior(Obstacle):
+    """The hull of the cloud in the workpiece frame, with at least one facet.
+
+    The plane at which the interior begins is in the scenario, see `HasWorkpiecePose`.
+    """
+
+    hull: HalfSpaces
+
+    of_workpiece = True
+
+    def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
+        """Return the contact of every body with the facet that its outermost deep end has crossed, if any."""
+        rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
+        outside, second, inwards = self._outside(where, bodies)
+        # Transformed from the workpiece frame, as for the cloud, so that the same end is the same point bit for bit.
+        end = jnp.where(second[:, None], bodies.q_workpiece, bodies.p_workpiece)
+        return Contacts(
+            distance=jnp.where(outside > 0, -outside, jnp.inf),
+            point=product(end, rotate.T) + translate[None, :],
+            normal=product(inwards, rotate.T),
+            radius=jnp.zeros_like(outside),
+            plane=jnp.ones(outside.shape, bool),
+        )
+
+    def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
+        """Return minus the largest distance of a deep end outside the hull [m]; infinite if none is outside."""
+        outside, _, _ = self._outside(where, bodies)
+        return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
+
+    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
+        """Return True if any deep end lies outside the hull."""
+        return jnp.any(self._outside(where, bodies)[0] > 0)
+
+    def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
+        """Return each body's free radius [m]: the smaller one of its two ends.
+
+        The free radius of an end is its distance to the interior's plane or its depth inside the hull, whichever is
+        larger.
+        """
+        beyond = _depth_of_ends(where, bodies.p, bodies.q)
+        requested = beyond > -NEAR_M
+        depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
+        return jnp.min(jnp.where(requested, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
+
+    def surely_touches(self, where: HasWorkpiecePose, bodies: SweptCapsules) -> Bool[jax.Array, ""]:
+        """Return True if an end of a body is certainly deep and outside the hull, wherever it has moved."""
+        p, q, _, moves = bodies
+        own, moves = in_workpiece(where, jnp.concatenate([p, q])), jnp.concatenate([moves, moves])
+        facet = crossed_facets(self.hull, own, _depth_of_ends(where, p, q) > moves)
+        outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
+        return jnp.any((facet >= 0) & (outside > moves))
+
+    def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
+        """Return the distance of every body's outermost deep end outside the hull [m], -inf if no end is outside.
+
+        Also return True for bodies whose second end is the outermost, and the inward normal of the facet that this end
+        crossed, in the workpiece frame.
+        """
+        both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
+        facet = crossed_facets(self.hull, both, _depth_of_ends(where, bodies.p, bodies.q) > 0)
+        normal = self.hull.normal[facet]
+        outside = jnp.where(facet < 0, -jnp.inf, jnp.sum(normal * both, axis=1) - self.hull.offset[facet])
+        k = bodies.p.shape[0]
+        second = outside[k:] > outside[:k]
+        return (
+            jnp.maximum(outside[:k], outside[k:]),
+            second,
+            -jnp.where(second[:, None], normal[k:], normal[:k]),
+        )
+
+
+def _depth_of_ends(
+    where: HasWorkpiecePose, p: Float[jax.Array, "n 3"], q: Float[jax.Array, "n 3"]
+) -> Float[jax.Array, "ends"]:
+    """Return the distances by which the ends, first all p, then all q, are beyond the plane [m]."""
+    return product(jnp.concatenate([p, q]), where.interior_plane[:3]) - where.interior_plane[3]

@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.caching import cached_for_last
-from htcp_jax.model import Workpiece, mesh_points
+from htcp_jax.model import Workpiece
 from htcp_jax.model import surface as surfaces
 from htcp_jax.numerics import ragged_rows
 
@@ -29,7 +29,7 @@ class WallTriangles:
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]):
         edges = triangles - np.roll(triangles, 1, axis=1)
         area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
-        self._corners = mesh_points.pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
+        self._corners = surfaces.pieces(triangles, 2 * np.sqrt(area / GRAINS), "the mesh")
         self.middle = self._corners.mean(axis=1)
         self.grain = float(np.linalg.norm(self._corners - self.middle[:, None], axis=2).max())
 

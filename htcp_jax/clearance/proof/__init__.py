@@ -5,7 +5,7 @@ is clear; its `Tube` is the region in which the TCP must stay. `motion_bound` bo
 `bisection` has the result, a `Proof` with a `PathVerdict`, and the state of a search in progress, `Bisection`.
 
 `row_proof` proves that a path satisfies the task's rows. `exclusion` proves, from the tool's bodies, that no
-configuration with the tool's orientation in a given cell is clear; `branch_exclusion` and `arm_exclusion` use the rest
+configuration with the tool's orientation in a given cell is clear; it and `branch_exclusion` use the rest
 of the arm, too.
 
 A proof is valid for every configuration on the path; the bounds include rounding errors.

@@ -1,7 +1,6 @@
-from . import arm_exclusion, bisection, branch_exclusion, exclusion, motion_bound, motion_proof, row_proof
+from . import bisection, branch_exclusion, exclusion, motion_bound, motion_proof, row_proof
 
 __all__ = [
-    "arm_exclusion",
     "bisection",
     "branch_exclusion",
     "exclusion",

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.sweep import SweptCapsules
-from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
-from htcp_jax.clearance.obstacles.scene import Scene
-from htcp_jax.clearance.proof import arm_exclusion
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
+from htcp_jax.clearance.proof import exclusion
 from htcp_jax.clearance.proof.exclusion import (
     Bodies,
     ToolCell,
@@ -75,7 +74,7 @@ class Interval(NamedTuple):
 
 def has_branches(robot: Robot) -> bool:
     """Return True if the arm has an elbow and a spherical wrist, as this module requires."""
-    if len(robot.slides) != JOINTS or any(robot.slides) or not arm_exclusion.has_wrist(robot):
+    if len(robot.slides) != JOINTS or any(robot.slides) or not exclusion.has_wrist(robot):
         return False
     return float(_SKEW(robot)) <= SKEW
 
@@ -87,7 +86,7 @@ def elbow(robot: Robot) -> Elbow:
     x = jnp.cross(second, first)
     x = x / safe_norm(x)
     R, origin = jnp.stack([x, jnp.cross(first, x), first], axis=1), frames[0, :3, 3]
-    wrist = frames[3, :3, 3] + product(frames[3, :3, :3], arm_exclusion.wrist(robot).on_arm)
+    wrist = frames[3, :3, 3] + product(frames[3, :3, :3], exclusion.wrist(robot).on_arm)
     shoulder, elbow_, wrist = (product(at - origin, R) for at in (frames[1, :3, 3], frames[2, :3, 3], wrist))
     bent = (jnp.abs(product(axes[k], axes[k + 1])) for k in (0, 3, 4))
     skew = jnp.maximum(jnp.max(jnp.stack(list(bent))), safe_norm(jnp.cross(second, third)))
@@ -185,7 +184,7 @@ def branch_collides(
 
 def _wrist_ball(robot: Robot, target: Vector3, tool: Float[Array, "3 3"], rho: Scalar, tolerance_m: Scalar | float):
     """Return the centre and the radius of a ball that contains the wrist, world [m]."""
-    arm = arm_exclusion.wrist(robot).on_tool - robot.T_link_tcp[:3, 3]
+    arm = exclusion.wrist(robot).on_tool - robot.T_link_tcp[:3, 3]
     radius = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(rho, jnp.pi)) + tolerance_m + ROUNDING_M
     return target + product(tool, arm), radius
 
@@ -278,7 +277,7 @@ def _on_arm(robot: Robot, own: Branch, ball: tuple[Vector3, Scalar], use: Int[Ar
     all_links = np.array(robot.capsule_link)
     here = np.flatnonzero((all_links >= 0) & (all_links <= 3))
     links = np.tile(all_links[here], 2)
-    wrist, ends = arm_exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p[here], robot.capsule_q[here]])
+    wrist, ends = exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p[here], robot.capsule_q[here]])
     at = kinematics.point_positions(robot, own.x, jnp.concatenate([wrist[None], ends]), (3, *links.tolist()))
     moves = point_motion_bound(robot, own.x, own.turns, at[1:], jnp.asarray(links))
     centre, radius = ball

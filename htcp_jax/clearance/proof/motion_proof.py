@@ -22,8 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose
-from htcp_jax.clearance.obstacles.scene import Scene
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep

@@ -32,7 +32,6 @@ from htcp_jax.motion import (
     Tried,
     ViaPoints,
     collision_checker,
-    dead_ends,
     lane_inputs,
     motion_check,
     step_functions,
@@ -40,10 +39,9 @@ from htcp_jax.motion import (
 )
 from htcp_jax.planning.beam.dead_ends import DeadEnds
 from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, SELF_MOTION, inputs_and_tubes
-from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
-from htcp_jax.planning.beam.tree import BeamTree
+from htcp_jax.planning.beam.tree import BeamTree, JointSteps
 from htcp_jax.planning.method import Method, WarmUp
 from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
@@ -86,7 +84,7 @@ class BeamSearchMethod(Method):
         parts = problem.in_threads(work, threads)
         via_points = ViaPoints.of([row for rows, _ in parts for row in rows], plans.x.shape[2])
         tried = {key: value for _, part in parts for key, value in part.items()}
-        return plans._replace(via_points=via_points, dead_ends=dead_ends.DeadEnds.of(tried))
+        return plans._replace(via_points=via_points, dead_ends=plans.dead_ends.of(tried))
 
 
 class BeamSearch:

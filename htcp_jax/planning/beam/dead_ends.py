@@ -26,16 +26,15 @@ from htcp_jax.motion import (
     CollisionChecker,
     Problem,
     Tried,
-    exclusions,
-    selection,
+    configurations,
     step_functions,
     tool_cells,
     transfers,
 )
 from htcp_jax.numerics import ragged_rows
 from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
-from htcp_jax.planning.beam.joint_steps import JointSteps
 from htcp_jax.planning.beam.searches import NONE, Searches
+from htcp_jax.planning.beam.tree import JointSteps
 from htcp_jax.planning.tracking import stages
 from htcp_jax.status import Exclusion, SegmentStatus, Status
 
@@ -118,7 +117,7 @@ class DeadEnds:
         if is_found or lost == 0 or target in self._draws[s].clear:
             return False
         inputs, executor = problem.inputs(s, target), self._checker.executor
-        (reason,) = exclusions.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
+        (reason,) = tool_cells.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
         tool = exclusion.Bodies.TOOL
         if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS, tool).all():
             reason = Exclusion.TOOL
@@ -273,7 +272,7 @@ class DeadEnds:
         reached = np.flatnonzero(problem.task.reached(here.residual))
         draws.missed[target] = 0 if len(reached) else draws.missed[target] + len(drawn)
         order = reached[np.argsort(-here.clearance[reached], kind="stable")]
-        apart = order[selection.first_apart(here.x[order], PUSHED, APART_RAD)]
+        apart = order[configurations.first_apart(here.x[order], PUSHED, APART_RAD)]
         pushes = len(apart) * problem.settings.max_null_space_steps
         draws.work += max(len(reached), len(drawn) // FEW) + pushes
         inputs = problem.inputs(s, target, len(apart))
@@ -282,7 +281,7 @@ class DeadEnds:
         good = np.flatnonzero(checker.valid(inputs, at)) if len(apart) else apart
         good = good[np.argsort(-at.clearance[good], kind="stable")]
         separation, zero = problem.settings.beam_separation_rad, np.zeros(len(good), int)
-        good = good[selection.dispersed(at.x[good], zero, problem.settings.beam_width, separation)]
+        good = good[configurations.dispersed(at.x[good], zero, problem.settings.beam_width, separation)]
         return self._tree.plant(tables.gather(at, good), target)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import selection
+from htcp_jax.motion import configurations
 from htcp_jax.planning.beam.tree import BeamTree, best_first
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -216,4 +216,4 @@ class Searches:
         most = len(members.node) if most is None else most
         where = None if known is None else (self.tree.x[known.node], known.search)
         x, apart = self.tree.x[members.node], self._settings.beam_separation_rad
-        return tables.gather(members, selection.dispersed(x, members.search, most, apart, where))
+        return tables.gather(members, configurations.dispersed(x, members.search, most, apart, where))

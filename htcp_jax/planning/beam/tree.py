@@ -1,6 +1,10 @@
 """Tree of a beam search: configurations that are clear and on target, each connected to a root by proven motions.
 
 Its tables have one row per node.
+
+`JointSteps` limits the travel of each joint between two targets of the path's file. The limit applies to the sum over a
+segment, including the goals inserted on it and self-motions at these goals. Self-motions at a target belong to the
+segment that begins at this target.
 """
 
 from typing import NamedTuple
@@ -9,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import tables
-from htcp_jax.motion import configuration_tree, step_functions
+from htcp_jax.model import Scenario
+from htcp_jax.motion import configurations, step_functions
 
 LEAST = 4096  # minimum rows of a table
+ROUNDING = 1e-12  # tolerance of sums, relative to a limit
 
 
 class Nodes(NamedTuple):
@@ -19,14 +25,14 @@ class Nodes(NamedTuple):
 
     at: step_functions.State
     target: Int[np.ndarray, "n"]
-    parent: Int[np.ndarray, "n"]  # row of the parent; configuration_tree.NO_PARENT for a root
+    parent: Int[np.ndarray, "n"]  # row of the parent; configurations.NO_PARENT for a root
     by_self_motion: Bool[np.ndarray, "n"]  # True: reached by self-motion at its target; False: extended to its target
     step_qps: Int[np.ndarray, "n"]  # number of step QPs solved for the configuration
     dwells: Int[np.ndarray, "n"]  # number of changes of configuration on the path from the root
     cost: Float[np.ndarray, "n"]  # cost (3) of the path from the root: the sum of |x_{t+1} - x_t|^2 [rad2]
 
 
-class BeamTree(configuration_tree.Tree):
+class BeamTree(configurations.Tree):
     """All configurations of some searches, as a tree.
 
     Configurations without descendants in a beam are removed from time to time.
@@ -55,7 +61,7 @@ class BeamTree(configuration_tree.Tree):
 
     def plant(self, at: step_functions.State, target: int) -> Int[np.ndarray, "m"]:
         """Add roots at a target; return the rows of the new nodes."""
-        none = np.full(len(at.x), configuration_tree.NO_PARENT)
+        none = np.full(len(at.x), configurations.NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
 
     def grow(
@@ -95,7 +101,7 @@ class BeamTree(configuration_tree.Tree):
         while len(rows):
             alive[rows] = True
             rows = np.unique(parent[rows])
-            rows = rows[rows != configuration_tree.NO_PARENT]
+            rows = rows[rows != configurations.NO_PARENT]
             rows = rows[~alive[rows]]
         return np.flatnonzero(alive)
 
@@ -104,9 +110,7 @@ class BeamTree(configuration_tree.Tree):
         kept_rows, moved = self.with_ancestors(rows), np.full(self._count, -1)
         moved[kept_rows] = np.arange(len(kept_rows))
         kept = tables.gather(self._table, kept_rows)
-        kept.parent[:] = np.where(
-            kept.parent == configuration_tree.NO_PARENT, configuration_tree.NO_PARENT, moved[kept.parent]
-        )
+        kept.parent[:] = np.where(kept.parent == configurations.NO_PARENT, configurations.NO_PARENT, moved[kept.parent])
         self._table, self._count = kept, len(kept.parent)
         self._kept = max(LEAST, self._count)
         return moved
@@ -115,3 +119,55 @@ class BeamTree(configuration_tree.Tree):
 def best_first(nodes: Nodes, search: Int[np.ndarray, "n"] | int = 0) -> Int[np.ndarray, "n"]:
     """Return the indices of nodes sorted by search, then number of dwells, then cost; the sort is stable."""
     return np.lexsort((nodes.cost, nodes.dwells, np.broadcast_to(search, nodes.cost.shape)))
+
+
+class JointSteps(NamedTuple):
+    """Limits on joint travel for S scenarios, one row per target or inserted goal.
+
+    The additional last row is for self-motions at the last target.
+    """
+
+    segment: Int[np.ndarray, "S R1"]  # target of the file at the end of each row's segment
+    most: Float[np.ndarray, "S R1 N"]  # maximum travel of each joint on this segment [rad or m]
+
+    @classmethod
+    def of(cls, scenarios: Scenario) -> "JointSteps | None":
+        """Return the limits of stacked scenarios; None if their joint steps are unlimited."""
+        if (most := scenarios.max_joint_step) is None:
+            return None
+        segment = np.append(scenarios.segments, scenarios.segments[:, -1:] + 1, axis=1)
+        return cls(segment, np.append((1 - ROUNDING) * most, np.full_like(most[:, :1], np.inf), axis=1))
+
+    def left(
+        self, tree: BeamTree, nodes: Int[np.ndarray, "m"], scenario: Int[np.ndarray, "m"], row: Int[np.ndarray, "m"]
+    ) -> Float[np.ndarray, "m N"]:
+        """Return the remaining travel of each joint on a segment after the motion to a node [rad or m].
+
+        Args:
+            tree: The tree, of searches in either direction.
+            nodes: Tree rows of the nodes.
+            scenario: Row of each node's scenario.
+            row: A row on the segment: the row of the node's target, or the next one.
+        """
+        left, own, which = self.most[scenario, row], self.segment[scenario, row], np.arange(len(nodes))
+        while len(which):
+            child = tree.nodes(nodes)
+            which, child = tables.gather((which, child), child.parent != configurations.NO_PARENT)
+            parent = tree.nodes(child.parent)
+            here = self.segment[scenario[which], _row_of(child.target, parent.target)] == own[which]
+            which, nodes, x, before = tables.gather((which, child.parent, child.at.x, parent.at.x), here)
+            left[which] -= np.abs(x - before)
+        return left
+
+    def are_kept(self, scenario: int, path: Nodes) -> bool:
+        """Return True if the motion along nodes, in the order of travel, satisfies all limits."""
+        row = _row_of(path.target[1:], path.target[:-1])
+        segment = self.segment[scenario, row]
+        travel = np.zeros((self.segment[scenario].max() + 1, self.most.shape[2]))
+        np.add.at(travel, segment, np.abs(np.diff(path.at.x, axis=0)))
+        return bool(((1 - ROUNDING) * travel[segment] <= self.most[scenario, row]).all())
+
+
+def _row_of(target: Int[np.ndarray, "m"], before: Int[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
+    """Return the row of the motion between two targets: the larger target; the next row for a motion at one target."""
+    return np.maximum(target, before) + (target == before)

@@ -11,10 +11,9 @@ import numpy as np
 from htcp_jax.device import tables
 from htcp_jax.motion import step_functions
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
-from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
+from htcp_jax.planning.tracking.lanes import ArrivedCandidates, Lanes, PendingCandidates, Work, new_lanes
 from htcp_jax.planning.tracking.sampling import Candidates
 from htcp_jax.planning.tracking.stages import Recoveries
-from htcp_jax.planning.tracking.work import ArrivedCandidates, PendingCandidates, Work
 
 
 class Arrivals(NamedTuple):

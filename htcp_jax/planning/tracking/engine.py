@@ -25,11 +25,9 @@ from htcp_jax.motion import CollisionChecker, Plans, Problem, step_functions
 from htcp_jax.planning.tracking.backwards import BackwardPlans, BackwardsRound
 from htcp_jax.planning.tracking.candidates import CandidateSearch, StageOutcome
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
-from htcp_jax.planning.tracking.lane_table import LaneTable
-from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes
+from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes, LaneTable, Work
 from htcp_jax.planning.tracking.record import Record
 from htcp_jax.planning.tracking.stages import ASCEND, ENTER, NullSpace, Recoveries
-from htcp_jax.planning.tracking.work import Work
 from htcp_jax.solvers import step_qp
 from htcp_jax.status import Status
 

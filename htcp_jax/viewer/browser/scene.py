@@ -31,6 +31,7 @@ from htcp_jax.viewer.colours import (
     rgb,
     target_styles,
 )
+from htcp_jax.viewer.drawn_meshes import rounded_hull
 from htcp_jax.viewer.playback import pose_at
 from htcp_jax.viewer.replay import Replay
 
@@ -201,7 +202,7 @@ class BrowserScene:
         radius = TIP_M if last else float(robot.capsule_radius[k])
         capsule = trimesh.creation.capsule(height=float(np.linalg.norm(q - p)), radius=radius, count=ROUND)
         piece = self._replay.pieces.get(k)
-        mesh = surfaces.rounded_hull(*piece) if piece else (capsule.vertices, capsule.faces)
+        mesh = rounded_hull(*piece) if piece else (capsule.vertices, capsule.faces)
         name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", compensated(self._colour(k))
         return self._scene.add_mesh_simple(name, *mesh, color=colour, opacity=opacity, flat_shading=piece is not None)
 
