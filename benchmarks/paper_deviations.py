@@ -28,7 +28,7 @@ from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.device.lane_function import DEEP_LOOP, LaneFunction
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.kinematics import point_jacobians, tcp_position
-from htcp_jax.motion import CollisionChecker, Plans, Problem, step_functions
+from htcp_jax.motion import CollisionChecker, Execution, Plans, Problem, step_functions
 from htcp_jax.motion.step_functions import MEASURED as READS_OF_MEASURED
 from htcp_jax.motion.step_functions import measured
 from htcp_jax.planning import registry

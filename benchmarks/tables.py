@@ -20,7 +20,7 @@ from htcp_jax.caching import cache_folder
 from htcp_jax.cli.output import claim_device
 from htcp_jax.device import Executor
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.runs.summary import summarise
 from htcp_jax.solvers import ClarabelSolver

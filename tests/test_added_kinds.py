@@ -20,7 +20,7 @@ from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model.task_row_kind import TASK_ROWS
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.placement.ranges import read_ranges
 from htcp_jax.planning import batch
 from htcp_jax.report.validation import notes

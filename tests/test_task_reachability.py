@@ -9,7 +9,7 @@ from small_motions import SMALL, check_segment, first_of, segments
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.model.scenario import stack
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Execution, Problem
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.planning.batch import plan
