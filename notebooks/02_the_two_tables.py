@@ -53,19 +53,19 @@ workpiece
 # ## The tables, next to the paper's
 #
 # `make_report` recognises the paper's grids. Its table `paper` has the paper's values next to ours, in four columns:
-# success, time per step, and TCP distance and safe distance as means over the tracked targets. The paper does not
-# define the safe distance; here it is the clearance $D$. Times are not comparable, because the paper's are from MATLAB
+# success, time per target, and TCP distance and clearance as means over the tracked targets. The paper does not define
+# its "safe distance"; here it is the clearance $D$. Times are not comparable, because the paper's are from MATLAB
 # on a Core i9.
 
 # %%
 COLUMNS = {
     "success_percent": "success [%]",
     "paper_success_percent": "paper [%]",
-    "step_ms": "time per step [ms]",
+    "step_ms": "time/target [ms]",
     "paper_step_ms": "paper [ms]",
-    "tcp_distance_mean_mm": "TCP distance [mm]",
+    "tcp_distance_mean_mm": "TCP distance [mean mm]",
     "paper_tcp_distance_mm": "paper [mm]",
-    "clearance_mean_mm": "safe distance [mm]",
+    "clearance_mean_mm": "clearance [mean mm]",
     "paper_safe_distance_mm": "paper [mm]",
 }
 

@@ -25,12 +25,12 @@ import trimesh
 import yaml
 from collada_box import DAE
 from hypothesis import strategies as st
+from made_once import load_cloud
 from sweep_process import make_sweep
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.columns import PER_METRE
-from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import read_path
 from htcp_jax.io.robots import read_joint_limits
 from htcp_jax.io.robots.collada_mesh import read_triangles

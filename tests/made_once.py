@@ -12,13 +12,18 @@ import pytest
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
+from htcp_jax.clearance.proof.bisection import Proof, initial_state
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
+from htcp_jax.clearance.proof.motion_proof import DEEPEST, query_on
 from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import LaneFunction
+from htcp_jax.io.parts.point_cloud import load_geometry
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.duct import section
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
+from htcp_jax.model.mesh_points import cover_mesh
 from htcp_jax.model.scenario_setup import make_scenario
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
@@ -98,6 +103,18 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
 
 
 @cache
+def prove(scene, where, a, b, tube=None, resolution_m=-ROUNDING_M, deepest=DEEPEST, kept=0.0) -> Proof:
+    """Proof or refutation of one straight joint path, by queries one after the other."""
+    query = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
+    return jax.lax.while_loop(lambda search: search.going, query, initial_state()).proof
+
+
+def load_cloud(file: Path | str, spacing: float | None = None) -> np.ndarray:
+    """Points of a cloud's file, or those that cover the mesh in a file."""
+    found = load_geometry(file)
+    return cover_mesh(found.triangles, str(file), spacing).points if len(found.triangles) else found.points
+
+
 def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -> list:
     """Executables of some lane functions in a cache, as pairs (lane function, executable)."""
     return [(key[0], executable) for key, executable in executables._compiled.items() if key[0] in lane_functions]

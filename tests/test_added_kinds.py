@@ -14,7 +14,7 @@ import htcp_jax
 from htcp_jax.clearance import clearances
 from htcp_jax.clearance.obstacles.given_obstacle import GivenObstacle, given_obstacles, with_given
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
-from htcp_jax.clearance.proof.row_proof import between, rows_left
+from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
@@ -191,7 +191,7 @@ def test_the_slack_of_a_row_holds_on_all_of_an_interval(row):
     rng = np.random.default_rng(1)
     for size in np.geomspace(1e-4, 0.5, 12):
         x, rates = jnp.asarray(scenario.x_start), jnp.asarray(size * rng.normal(size=6))
-        found = rows_left(robot, task.parts, regions, x, rates, jnp.asarray(0.5))
+        found = row_slacks(robot, task.parts, regions, x, rates, jnp.asarray(0.5))
         values = [task.value(robot, x + s * rates)[3:] for s in np.linspace(-0.5, 0.5, 101)]
         height = np.array([value[2] for value in values])
         if row is ABOVE:

@@ -11,6 +11,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from made_once import prove
 from published import MODELS, path_of
 
 from benchmarks import cell_distances
@@ -21,7 +22,6 @@ from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
-from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import toy
 import trimesh
+from made_once import prove
 
 import htcp_jax
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.self_collision import self_collision
 from htcp_jax.clearance.proof.bisection import PathVerdict
-from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.errors import InputError, Note
 from htcp_jax.jobs import build, load_config
 from htcp_jax.model.kinematics import capsule_segments, tip_segment

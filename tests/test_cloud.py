@@ -8,10 +8,11 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from made_once import load_cloud
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts import load_geometry
-from htcp_jax.io.parts.point_cloud import CLOUDS, load_cloud
+from htcp_jax.io.parts.point_cloud import CLOUDS
 from htcp_jax.io.parts.scan import PARTS, SCANS
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))

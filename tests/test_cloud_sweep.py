@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from made_once import prove
 from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
@@ -22,7 +23,6 @@ from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import travel_bound
-from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.pytree import register_pytree
 
 BODIES = 6

@@ -10,10 +10,10 @@ import made_once
 import numpy as np
 import pytest
 import toy
-from made_once import compiled_from
+from made_once import compiled_from, prove
 
 from htcp_jax.clearance.proof.bisection import PathVerdict
-from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M, prove
+from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M
 from htcp_jax.device import Executor, Loop
 from htcp_jax.device.batching import chunked, refilled
 from htcp_jax.device.devices import cores

@@ -20,8 +20,8 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.step_functions import ADVANCE, STEPS_PER_CHUNK
 from htcp_jax.planning.methods import find
 from htcp_jax.planning.tracking import Engine
-from htcp_jax.planning.tracking.candidates import PendingScenarios, nearest
-from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes, LaneTable, Work
+from htcp_jax.planning.tracking.candidates import nearest
+from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes, LaneTable
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus
@@ -64,7 +64,7 @@ def planned_by(executor, method="baseline", settings=PAPER, solver=None):
     problem = toy.problem(settings=settings, threads=1)
     work, plans = Work(list(range(len(problem.scenarios.number))), 1), problem.empty_plans()
     checker = CollisionChecker(executor, settings)
-    Engine(problem, checker, solver or clarabel(), find(method), plans, work, PendingScenarios()).run()
+    Engine(problem, checker, solver or clarabel(), find(method), plans, work).run()
     return plans
 
 
@@ -107,7 +107,7 @@ def left_by(table: LaneTable, work: Work) -> list[int]:
     got = []
     idle = threading.Thread(target=lambda: got.append(work.wait()))
     idle.start()
-    while not work.wanted:
+    while not work.has_idle_engine:
         pass
     assert table.fill()
     if not got:

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from fuzz import fuzz
 from fuzz_targets import ARM, SMALL, TARGETS, URDF
+from made_once import load_cloud
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.jobs import load_config
 from htcp_jax.spec.config import PlanConfig

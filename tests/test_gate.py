@@ -73,7 +73,7 @@ def edit_manifest(run, change) -> None:
 def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):
     assert gate(run, baseline) == PASSED
     output = capsys.readouterr()
-    origins, counts, figures, passed = output.out.split("\n\n")
+    origins, counts, *figures, passed = output.out.split("\n\n")
     title, *origins = origins.splitlines()
     named = [line.split()[:2] for line in origins if not line.startswith(" ")]
     assert named == [["baseline", "commit"], ["run", "commit"]]
@@ -81,7 +81,9 @@ def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, cap
     assert (title, passed, output.err) == ("grid", "passed\n", "")
     assert [row.split()[0] for row in rows] == ["baseline", "cspace-sample", "reachability"]
     assert all(row.index("ok") == head.index("verdict") for row in rows) and len(units) <= len(head)
-    assert [row.split()[0] for row in figures.splitlines()[2:]] == ["baseline", "cspace-sample", "reachability"]
+    assert [[row.split()[0] for row in part.splitlines()[2:]] for part in (counts, *figures)] == 3 * [
+        ["baseline", "cspace-sample", "reachability"]
+    ]
 
 
 def test_the_baseline_says_what_was_planned_and_one_line_a_scenario(baseline):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from test_moving_part import CELLS, PART
 
 import htcp_jax
-from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 from htcp_jax.jobs import build, load_config
@@ -137,7 +137,8 @@ def proven(robot):
     given[..., np.cumsum([part.numbers for part in task.parts]) - 1] = widths[:, None]
 
     def on(goals, x, rates):
-        return rows_hold(robot, task.parts, between(task, goals), x, rates, jnp.asarray(0.5))
+        found = row_slacks(robot, task.parts, between(task, goals), x, rates, jnp.asarray(0.5))
+        return found.left >= 0, found.broken
 
     held, broken = map(np.asarray, jax.jit(jax.vmap(on))(given, middle, b - a))
     left = slack_of_rows(task, robot, np.stack([a, b], axis=1).reshape(-1, a.shape[1]), given.repeat(2, axis=0)[:-1],

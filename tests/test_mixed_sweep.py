@@ -17,7 +17,6 @@ from htcp_jax.motion import Problem
 from htcp_jax.motion.plans import is_tracked
 from htcp_jax.planning import batch
 from htcp_jax.report import make_report
-from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.groups import read_parts
 from htcp_jax.runs import open_run
 from htcp_jax.runs.sweep import sweep
@@ -112,7 +111,7 @@ def test_a_scenario_is_opened_with_its_own_robot_and_workpiece(place, run):
         robot = robot_of(point.config.robot)
         assert replay.robot.name == robot.name
         ends = axes(robot, jnp.asarray(replay.x[0]))[0]
-        np.testing.assert_allclose(replay.p[0], np.asarray(ends), atol=1e-12)
+        np.testing.assert_allclose(replay.shape.p[0], np.asarray(ends), atol=1e-12)
         if replay.failed != 0:
             near = np.linalg.norm(replay.witness.arm[0] - replay.witness.cloud[0])
             np.testing.assert_allclose(near, replay.clearance[0], atol=1e-12)
@@ -129,7 +128,7 @@ def test_it_is_validated_with_each_scenario_s_own_robot_and_workpiece(place, run
 
 
 def test_the_report_has_the_axes(place, run):
-    (part,) = read_parts(run, "mixed", OpenedScene)
+    (part,) = read_parts(run, "mixed")
     assert list(part.axes) == ["start_j2_rad", "robot.model", "workpiece.cloud"]
     assert part.parameters["settings.max_step_qps"].tolist() == [20, 20, 30, 30] * 2
     report = make_report(place / "run")

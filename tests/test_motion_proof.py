@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from made_once import prove
 from sphere_references import Where, place
 from test_joint_path import rail
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.bisection import PathVerdict, Proof
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
-from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube, prove
+from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.spec import GP50

@@ -10,8 +10,9 @@ import pytest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.placement.ranges import parameter
 from htcp_jax.report.charts.placement import MARKS, place_map, place_pareto_front
-from htcp_jax.report.place_tables import parameter, read_search
+from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans
 
 NAMES = [

@@ -10,6 +10,7 @@ import made_once
 import numpy as np
 import pytest
 import qpsolvers
+from made_once import prove
 from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
@@ -22,7 +23,6 @@ from htcp_jax.clearance.obstacles.narrow_phase import decide_together
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
-from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model.convex_piece import body_pieces, make_piece
 from htcp_jax.model.robot import capsule_label, mesh_note

@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from made_once import load_cloud
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.path_file import read_path_points
-from htcp_jax.io.parts.point_cloud import load_cloud
 
 LEFT = [f"{0.1 + 0.01 * k:.2f},0.0,0.3" for k in range(6)]
 RIGHT = [f"{0.1 + 0.01 * k:.2f},0.08,0.3" for k in range(6)]

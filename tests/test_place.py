@@ -26,7 +26,7 @@ from htcp_jax.errors import Interrupted
 from htcp_jax.placement import PlacementResult, place
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
-from htcp_jax.placement.scores import QUICK, MountingScores, evaluate, sweep_of
+from htcp_jax.placement.scores import MountingPlanner, MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.runs.sweep import sweep
@@ -175,7 +175,7 @@ def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or
     ranges = {"workpiece.shift_m.z": [0.14, 0.18]}
     for start in ([], ["start_rad=auto"]):
         search = load_search({"place": ranges}, job, start)
-        scores = evaluate(search, sweep, np.array([[0.15], [0.17]]), search.file.screen, None, settings=QUICK)
+        scores = MountingPlanner(search, sweep).evaluate_quickly(np.array([[0.15], [0.17]]), None)
         assert scores.complete.any()
 
 

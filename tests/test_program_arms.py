@@ -17,7 +17,7 @@ from htcp_jax.status import Kind
 from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.validate import parts_of
+from htcp_jax.validation.validate import LoadedParts
 
 STEP_S = 1e-3
 ROUNDING = 1e-6  # of a limit: third differences of doubles over 1 ms
@@ -57,6 +57,6 @@ def test_an_arm_with_a_task_in_a_cell_is_timed_within_its_limits_and_nothing_is_
     if kind != "cone":
         passed = made.program.at(made.program.at_configurations().time_s)
         results = read_results(tmp_path / "plan")
-        seen, _, _ = parts_of(results, next(iter(results.tracks)))
+        seen, _, _ = LoadedParts(results).of(next(iter(results.tracks)))
         axes = seen.frames(np.vstack([job["start_rad"], passed.x[passed.kind == Kind.PROCESS]]), "tcp")[1][:, :, 2]
         assert np.arccos(np.minimum(axes[1:] @ axes[0], 1.0)).max() <= made.job.settings.tolerance_rad

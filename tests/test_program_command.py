@@ -27,7 +27,7 @@ from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.track import scene_of
-from htcp_jax.validation.validate import parts_of
+from htcp_jax.validation.validate import LoadedParts
 from htcp_jax.viewer.arm_pose import arms_at
 
 STEP_S = 1e-3
@@ -408,7 +408,7 @@ def test_the_check_says_of_every_configuration_what_measuring_each_says(plans, h
     swing = np.sin(np.linspace(0, 6 * np.pi, len(timed.x)))[:, None] * np.array([0.5, 0.2, 0.3, 0.4, 1.5, 0.5])
     results = read_results(folder)
     (track,) = results.tracks
-    scene = scene_of(results, *parts_of(results, track), track)[0]
+    scene = scene_of(results, *LoadedParts(results).of(track), track)[0]
     touched = []
     for share in (0.0, 0.02, 1.0):
         moved = timed._replace(x=timed.x + share * swing)

@@ -258,10 +258,10 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
 
 
 def test_the_seam_makes_the_solver_that_the_settings_name():
-    assert isinstance(make_solver(Settings(), N, 8), ClarabelSolver)
-    assert isinstance(make_solver(Settings(qp="qpsolvers:clarabel"), N, 8), QPSolversSolver)
+    assert isinstance(make_solver(Settings(), 8), ClarabelSolver)
+    assert isinstance(make_solver(Settings(qp="qpsolvers:clarabel"), 8), QPSolversSolver)
     with pytest.raises(InputError, match=r"'gurobbi' is not installed; valid: .*clarabel"):
-        make_solver(Settings(qp="qpsolvers:gurobbi"), N, 8)
+        make_solver(Settings(qp="qpsolvers:gurobbi"), 8)
 
 
 def test_a_looser_tolerance_gives_a_looser_answer():

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from test_qp import WEIGHTS, N, batch, infeasible, random_batch
+from test_qp import WEIGHTS, batch, infeasible, random_batch
 
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.io.robots.loading import gp50
@@ -15,7 +15,6 @@ from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.methods import BUILT_IN
-from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.lanes import Work
 from htcp_jax.planning.tracking.step_qps import make_solver
@@ -110,9 +109,9 @@ class Recorded(Method):
     def plan(self, problem: Problem) -> Plans:
         [checker] = problem.checkers
         rows = row_count(problem.settings, checker.executor.sizes[1])
-        solver = Recorder(make_solver(problem.settings, N, rows))
+        solver = Recorder(make_solver(problem.settings, rows))
         plans, work = problem.empty_plans(), Work(problem.to_plan.tolist(), 1)
-        Engine(problem, checker, solver, BASELINE, plans, work, PendingScenarios()).run()
+        Engine(problem, checker, solver, BASELINE, plans, work).run()
         self.seen = solver.seen
         return plans
 

@@ -95,8 +95,8 @@ def test_the_way_passes_every_tracked_target_in_small_strides(replay):
     assert met == sorted(met) and set(met) == set(range(8))
     for t in range(8):
         first = poses[met.index(t)].arm
-        np.testing.assert_allclose(first.p, replay.p[t], atol=1e-12)
-        np.testing.assert_allclose(first.tcp, replay.tcp[t], atol=1e-12)
+        np.testing.assert_allclose(first.p, replay.shape.p[t], atol=1e-12)
+        np.testing.assert_allclose(first.tcp, replay.shape.tcp[t], atol=1e-12)
     points = np.array([np.vstack([arm.p, arm.q, arm.tcp]) for arm, *_ in poses])
     # Along an arc a point moves a little further than along its chord.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() < 1.3 * STRIDE_M

@@ -1,6 +1,7 @@
 """Plans prepared for viewing: the same from a run, a folder and memory; failed ones first; minimum clearance."""
 
 import json
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +52,8 @@ def test_a_run_a_plan_s_folder_and_a_plan_in_memory_show_the_same(folder, replay
         open_replays(folder / "plan").replay(0, "baseline"),
         replays_of("memory", api.plan(folder / "job.yaml")).replay(0, "baseline"),
     ]
-    for name in ("target", "status", "clearance", "x", "p", "q", "tcp", "cloud"):
-        first, *others = (getattr(replay, name) for replay in replays)
+    for name in ("target", "status", "clearance", "x", "shape.p", "shape.q", "shape.tcp", "cloud"):
+        first, *others = map(attrgetter(name), replays)
         for other in others:
             np.testing.assert_allclose(other, first, atol=1e-12, err_msg=name)
     assert [(replay.tracked, replay.failed, replay.path) for replay in replays] == [(12, 12, 11)] * 3
@@ -64,7 +65,7 @@ def test_the_witnesses_are_as_far_apart_as_the_clearance_says(replay):
     to_cloud = np.linalg.norm(replay.cloud[None] - replay.witness.cloud[:, None], axis=2).min(axis=1)
     assert to_cloud.max() < 1e-9  # it is a point of the cloud
     k = replay.robot.capsule_names.index(replay.witness.body[5])
-    p, q, at = replay.p[5, k], replay.q[5, k], replay.witness.arm[5]
+    p, q, at = replay.shape.p[5, k], replay.shape.q[5, k], replay.witness.arm[5]
     s = np.clip((at - p) @ (q - p) / max((q - p) @ (q - p), 1e-300), 0, 1)
     assert np.isclose(np.linalg.norm(p + s * (q - p) - at), replay.robot.capsule_radius[k])  # on the capsule's surface
 
@@ -76,7 +77,7 @@ def test_at_the_failed_target_the_arm_is_brought_into_what_is_in_collision(repla
     np.testing.assert_array_equal(replay.x[12], found.x)
     assert replay.witness.body[12] == found.body
     np.testing.assert_allclose(replay.witness.cloud[12], found.point, atol=1e-9)
-    np.testing.assert_allclose(replay.tcp[12], replay.target[12], atol=1e-3)
+    np.testing.assert_allclose(replay.shape.tcp[12], replay.target[12], atol=1e-3)
     assert found.reached and found.depth_m > 0  # the last target lies in the wall
 
 
@@ -104,8 +105,8 @@ def test_failed_scenarios_come_first_and_what_is_not_planned_does_not(tmp_path):
 def test_any_arm_is_shown_with_its_scenario_s_tool(tmp_path):
     replays = by_hand([[LIMIT, NOT, NOT]], tmp_path)
     replay = replays.replay(0, "beam")
-    assert replay.p.shape == (3, 8, 3) and replay.tracked == 0
-    held = replay.tcp[1:]  # at the failed target the arm is moved there
+    assert replay.shape.p.shape == (3, 8, 3) and replay.tracked == 0
+    held = replay.shape.tcp[1:]  # at the failed target the arm is moved there
     # The seven links of 0.3 m stand upright; the TCP is offset 0.05 m and 0.35 m above the last, z axis up.
     np.testing.assert_allclose(held, [[0.05, 0, 7 * 0.3 + 0.35 + 0.1]] * 2, atol=1e-12)
 

@@ -135,7 +135,7 @@ def test_a_long_text_is_no_column_of_single_words_on_a_narrow_screen(tmp_path, b
 
 
 def read_part(folder: Path, name: str) -> Part:
-    (part,) = read_parts(open_run(folder / name), name, OpenedScene)
+    (part,) = read_parts(open_run(folder / name), name)
     return part
 
 
@@ -295,20 +295,15 @@ def test_the_stops_say_which_bodies_are_in_collision(folder):
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
 
 
-class _Found:
+class _Found(OpenedScene):
     """Scene of a run in which a body is inside the workpiece at the failed target of scenario 1 only."""
 
-    problem = ""
+    def __init__(self):
+        super().__init__(run=None, plans={})
 
     def colliding_bodies(self, method):
         one = Obstruction("spindle", np.zeros(3), 0.002, 0.0, True, np.zeros(6))
         return {number: one if number == 1 else one._replace(depth_m=-0.041) for number in range(49)}
-
-    def picture(self, number, method, title):
-        return None
-
-    def reach_picture(self, numbers, reach, name):
-        return None
 
 
 def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_the_search_is_reported(folder):

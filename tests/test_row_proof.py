@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from made_once import prove
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.bisection import PathVerdict
-from htcp_jax.clearance.proof.motion_proof import Tube, prove
-from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.clearance.proof.motion_proof import Tube
+from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.model import PathFrames, Task, Workpiece
 from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
@@ -105,7 +106,8 @@ def bounded():
     half = jnp.asarray(0.5 / INTERVALS)
 
     def on(goals, a, b, place):
-        return rows_hold(made_once.robot(), task.parts, between(task, goals), a + place * (b - a), b - a, half)
+        found = row_slacks(made_once.robot(), task.parts, between(task, goals), a + place * (b - a), b - a, half)
+        return found.left >= 0, found.broken
 
     pairs = jnp.asarray(np.stack([goals[:-1], goals[1:]], axis=1))
     places = jnp.linspace(half, 1.0 - half, INTERVALS)

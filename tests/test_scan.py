@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_once import load_cloud
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts.point_cloud import load_cloud, load_geometry, read_points
+from htcp_jax.io.parts.point_cloud import load_geometry, read_points
 from htcp_jax.io.parts.scan import PARTS, SCANS, parsed, read_part
 
 laspy, pye57 = pytest.importorskip("laspy"), pytest.importorskip("pye57")

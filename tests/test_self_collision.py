@@ -10,6 +10,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from made_once import prove
 from test_joint_path import rail
 
 from htcp_jax.clearance import Scene, clearances
@@ -21,7 +22,6 @@ from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, 
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import travel_bound
-from htcp_jax.clearance.proof.motion_proof import prove
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot

@@ -5,10 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+from made_once import load_cloud
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts.point_cloud import load_cloud, read_points
+from htcp_jax.io.parts.point_cloud import read_points
 from htcp_jax.io.parts.workpiece_source import read_path
 
 RNG = np.random.default_rng(0)

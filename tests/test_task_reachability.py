@@ -14,7 +14,7 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.transfers import other_configurations
 from htcp_jax.planning.batch import plan
 from htcp_jax.reachability import reachable_prefixes
-from htcp_jax.reachability.configuration_search import known_configurations, search
+from htcp_jax.reachability.configuration_search import ConfigurationSearch
 from htcp_jax.spec import GP50
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
@@ -64,7 +64,7 @@ def test_a_task_that_holds_the_tcp_nowhere_is_searched_from_configurations_all_o
     robot, part, one = scene(job)
     problem = problem_of(job, robot, part, one)
     inputs = lane_inputs(problem.scenarios, np.zeros(1, int), np.array([40]))
-    here = search(problem.checkers[0], known_configurations(robot, np.zeros(1)), inputs, 0.1)
+    here = ConfigurationSearch(problem.checkers[0], robot, np.zeros(1)).search(inputs, 0.1)
     assert (here.at.clearance[0] > one.margin_m).sum() > 30 and here.resolution_rad[0] == np.pi
     assert not broken(job, part, one, here.at.x[0, here.at.clearance[0] > -np.inf], np.full(64, 40))
 

@@ -188,7 +188,7 @@ def test_play_by_targets_leaves_no_configuration_out_and_stands_where_nothing_is
     for target in range(10):
         pose, said = timeline.look(float(target))
         assert timeline.on_slider(float(target)) == target == pose.target and said == "Not timed."
-        np.testing.assert_allclose(pose.arm.tcp, replay.tcp[target], atol=1e-12)
+        np.testing.assert_allclose(pose.arm.tcp, replay.shape.tcp[target], atol=1e-12)
 
 
 NO_FEED = "applies to a timed motion only: pass --feed, too"

@@ -165,7 +165,7 @@ def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):
     slider = page.get_by_role("slider").first
     step_to(page, viewer, slider, 6)
     replay = replays.replay(1, "baseline")
-    np.testing.assert_allclose(arm_positions(viewer.stage)[:8], (replay.p[6] + replay.q[6]) / 2, atol=1e-6)
+    np.testing.assert_allclose(arm_positions(viewer.stage)[:8], (replay.shape.p[6] + replay.shape.q[6]) / 2, atol=1e-6)
     assert np.abs(arm_positions(viewer.stage) - start).max() > 0.1
     page.get_by_text("tracked after a recovery.").wait_for()
     clearance = f"{1e3 * replay.clearance[6]:.4g} mm"

@@ -8,11 +8,11 @@ import jaxtyping
 import numpy as np
 import pytest
 import trimesh
+from made_once import load_cloud
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.parts.point_cloud import load_cloud
 from htcp_jax.io.parts.workpiece_source import (
     GeneratedDuct,
     PointCloud,

@@ -15,8 +15,6 @@ from htcp_jax.runs import columns
 from htcp_jax.spec import examples
 from htcp_jax.system import output_files
 
-COLUMNS = "name", "command", "description"
-
 
 def complete_example(start: str) -> list[str]:
     """Return the names of examples that begin with `start`, for shell completion."""
@@ -49,7 +47,7 @@ def example(name: Name = None, folder: Folder = None, as_json: Json = False) -> 
     known = examples.examples()
     if name is None:
         rows = tuple((each, examples.command(each), examples.description(file)) for each, file in known.items())
-        table = Table("examples", columns.of(*COLUMNS), rows)
+        table = Table("examples", columns.of("name", "command", "description"), rows)
         print_json(table.records()) if as_json else print_table(stdout(), table)
         return 0
     if name not in known:

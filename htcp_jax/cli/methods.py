@@ -1,11 +1,13 @@
 """`htcp methods`: list the planning methods with their descriptions."""
 
+from typing import Annotated
+
+import typer
+
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
 from htcp_jax.planning import registry
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
-
-COLUMNS = "method", "title", "description"
 
 
 def methods(as_json: Json = False) -> int:
@@ -19,7 +21,7 @@ def methods(as_json: Json = False) -> int:
       htcp methods --json                       for another program
     """
     rows = tuple((name, *words) for name, words in registry.descriptions().items())
-    table = Table("methods", columns.of(*COLUMNS), rows)
+    table = Table("methods", columns.of("method", "title", "description"), rows)
     if as_json:
         print_json(table.records())
     else:
@@ -37,3 +39,9 @@ def complete_methods(start: str) -> list[str]:
     before, comma, last = start.rpartition(",")
     given = before.split(",")
     return [before + comma + name for name in complete_method(last) if name not in given]
+
+
+RunMethod = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
+]

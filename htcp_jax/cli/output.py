@@ -183,8 +183,8 @@ def _laid_out(table: Table) -> rich.table.Table:
 def _folded(table: Table, most: int) -> Iterator[Table]:
     """Split the columns of a table into tables of at most `most` characters, each with the first column.
 
-    If the last column is text, it is wrapped and counts at most LEAST_TEXT characters. Columns in TIED stay with the
-    column to their left.
+    If the last column is text, it is wrapped and counts at most LEAST_TEXT characters. Columns in TIED, reference
+    values, and new values of a comparison stay with the column to their left.
     """
     taken, used = [0], _needed(table, 0)
     for group in _groups(table):
@@ -199,7 +199,8 @@ def _folded(table: Table, most: int) -> Iterator[Table]:
 def _groups(table: Table) -> list[list[int]]:
     groups: list[list[int]] = []
     for k in range(1, len(table.columns)):
-        tied = table.columns[k].heading in TIED or table.columns[k].quiet
+        before, column = table.columns[k - 1 : k + 1]
+        tied = column.heading in TIED or column.quiet or before.key == f"was_{column.key}"
         groups[-1:] = [groups[-1] + [k]] if tied and groups else [*groups[-1:], [k]]
     return groups
 

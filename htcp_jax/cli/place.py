@@ -173,19 +173,16 @@ def _seams(found: PlacementResult) -> dict[str, str]:
 
 def _mountings_table(found: PlacementResult) -> Table:
     axes, aims = found.search.ranges.axes, found.search.file.objective
-    shown: list[str | Column] = ["rank"]
-    shown += [Column(axis.name, axis.name.rpartition(".")[2] if axis.element is None else _short(axis.name),
-                       axis.unit[0], ".4g") for axis in axes]  # fmt: skip
+    parameters = [axis.shown for axis in axes]
+    shown: list[str | Column] = ["rank", *(Column(one.column, one.name, one.unit, ".4g") for one in parameters)]
     for name in aims:
-        shown += [
-            Column(name, name, mounting.UNITS[name][0], ".3g"),
-            Column(f"{name} off", "perturbed", mounting.UNITS[name][0], ".3g"),
-        ]
+        worst = Column(f"{name} off", "perturbed", mounting.UNITS[name][0], ".3g")
+        shown += [worst._replace(key=name, heading=name), worst]
     shown += ["margin_mm", "tolerates"]
     rows = [
         (
             number,
-            *(value * axis.unit[1] for axis, value in zip(axes, one.values.tolist(), strict=True)),
+            *(value * each.scale for each, value in zip(parameters, one.values.tolist(), strict=True)),
             *(_shown_value(name, v) for name, a, b in zip(aims, one.objective, one.worst, strict=True) for v in (a, b)),
             1e3 * one.margin_m,
             _tolerated(found, one),
@@ -193,10 +190,6 @@ def _mountings_table(found: PlacementResult) -> Table:
         for number, one in enumerate(found.mountings, 1)
     ]
     return Table("place", columns.of(*shown), tuple(rows))
-
-
-def _short(name: str) -> str:
-    return ".".join(name.split(".")[1:])
 
 
 def _shown_value(objective_name: str, value: float) -> float:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
-from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
@@ -41,7 +41,6 @@ CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
 )
-COLUMNS = "begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason"
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Format = Annotated[str | None, typer.Option(metavar="NAME", help=f"File format: {', '.join(FORMATS)}; by default csv.")]
@@ -50,10 +49,6 @@ Out = Annotated[
 ]
 All = Annotated[bool, typer.Option("--all", help="Time every scenario of a sweep; write no program.")]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Number of the scenario in the sweep; by default 0.")]
-Method = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
-]
 Check = Annotated[bool, typer.Option("--check", help="Check the configuration at every millisecond with MuJoCo.")]
 AllowEffort = Annotated[
     bool, typer.Option("--allow-effort", help="Return exit code 0 if torques exceed the effort limits.")
@@ -79,7 +74,7 @@ def program(
     all_: All = False,
     format: Format = None,
     scenario: Scenario = None,
-    method: Method = None,
+    method: RunMethod = None,
     one_way: OneWay = False,
     check: Check = False,
     allow_effort: AllowEffort = False,
@@ -111,11 +106,10 @@ def program(
       htcp program out/workpiece --all --feed 20mm/s
     """
     if all_:
-        alone = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
-        given = [name for name, value in alone.items() if value is not None]
+        of_one = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
+        given = [name for name, value in of_one.items() if value is not None]
         flags = {"--one-way": one_way, "--check": check, "--allow-effort": allow_effort}
-        given += [name for name, is_set in flags.items() if is_set]
-        if given:
+        if given := given + [name for name, is_set in flags.items() if is_set]:
             raise InputError(f"{given[0]} applies to one program, and --all times every scenario; omit one of them")
         return _time_all(run, feed, method, limits, overrides or (), as_json)
     if out is None:
@@ -124,47 +118,65 @@ def program(
     format_of(format)
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
-    found, step_s = open_plans(run), _step_seconds(step_ms)
-    in_file = _limits_in_file(limits, found.config)
+    plans, step_s = open_plans(run), _step_seconds(step_ms)
+    in_file = _limits_in_file(limits, plans.config)
     changes = [*in_file.overrides, *(overrides or ())]
-    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(found.config, changes))
-    made = plan_program.program_of(found, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
+    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(plans.config, changes))
+    made = plan_program.program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
     if in_file.stated is not None:
         check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
     _print_note(in_file)
-    peak_torque = made.peak_torque
+    torque = made.peak_torque
     text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
     with output_files.made_folder(out.parent):
         output_files.write_text(out, text)
     checked = _check_motion(run, made, scenario) if check else {}
-    if overloaded := peak_torque is not None and peak_torque.share > 1:
-        warnings.warn(f"torque is {_torque(peak_torque)}; pass --allow-effort to accept it", stacklevel=1)
+    if overloaded := torque is not None and torque.share > 1:
+        warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    drops, code = _drop_table(found, manipulability), REFUTED if checked.get("refuted") else 0
-    if overloaded and not allow_effort:
-        code = code or OVERLOADED
     if as_json:
-        record = {key: value for key, value in found._asdict().items() if key != "drops"}
-        record |= {"feed_drops": drops.records(), "shares": _share_record(found.shares)}
-        record["path_shares"] = _share_record(found.path_shares)
-        record["peak_torque"] = peak_torque and peak_torque._asdict()
-        print_json({**record, "check": checked or None, "file": str(out)})
-        return code
-    facts = (
-        _program_facts(found)
-        | {"torque": _torque(peak_torque)}
-        | ({"by MuJoCo": CHECKED.format(**checked)} if checked else {})
-    )
-    print_facts(f"{made.robot.name}: {format}", facts | {"file": str(out)})
-    if found.drops:
-        stdout().print()
-        print_table(stdout(), drops)
-        if not np.isnan(manipulability).all():
-            middle = f"its median on the path is {np.nanmedian(manipulability):.3f} m/rad"
-            stdout().print(Text(f"manipulability: the minimum there; {middle}.", style="dim"))
-        if any(drop.reason == STOP for drop in found.drops):
-            stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
-    return code
+        _print_record(found, manipulability, torque, checked, out)
+    else:
+        _print_program(f"{made.robot.name}: {format}", found, manipulability, torque, checked, out)
+    if checked.get("refuted"):
+        return REFUTED
+    return OVERLOADED if overloaded and not allow_effort else 0
+
+
+def _print_record(
+    found: figures.ProgramFigures,
+    manipulability: Float[np.ndarray, "T"],
+    torque: PeakTorque | None,
+    checked: dict[str, int | float],
+    out: Path,
+) -> None:
+    """Print the figures of a program, its largest torque, the result of --check and the file as JSON."""
+    record = {key: value for key, value in found._asdict().items() if key != "drops"}
+    record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
+    record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
+    print_json({**record, "check": checked or None, "file": str(out)})
+
+
+def _print_program(
+    title: str,
+    found: figures.ProgramFigures,
+    manipulability: Float[np.ndarray, "T"],
+    torque: PeakTorque | None,
+    checked: dict[str, int | float],
+    out: Path,
+) -> None:
+    """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
+    by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
+    print_facts(title, {**_program_facts(found), "torque": _torque(torque), **by_mujoco, "file": str(out)})
+    if not found.drops:
+        return
+    stdout().print()
+    print_table(stdout(), _drop_table(found, manipulability))
+    if not np.isnan(manipulability).all():
+        middle = f"its median on the path is {np.nanmedian(manipulability):.3f} m/rad"
+        stdout().print(Text(f"manipulability: the minimum there; {middle}.", style="dim"))
+    if any(drop.reason == STOP for drop in found.drops):
+        stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
 
 
 class _LimitsInFile(NamedTuple):
@@ -230,7 +242,8 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
         low, high = sorted((drop.first_target, drop.last_target))
         own = float(np.fmin.reduce(manipulability[low : high + 1]))
         rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
-    return Table("feed_drops", columns.of(*COLUMNS), tuple(rows))
+    shown = columns.of("begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason")
+    return Table("feed_drops", shown, tuple(rows))
 
 
 def _share_record(found: list[figures.Share]) -> dict[str, dict]:
@@ -240,12 +253,9 @@ def _share_record(found: list[figures.Share]) -> dict[str, dict]:
 def _torque(peak_torque: PeakTorque | None) -> str:
     if peak_torque is None:
         return "unknown: the arm's model has no inertias"
-    at = (
-        f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {peak_torque.joint} at {peak_torque.time_s:.2f} s"
-    )
-    return (
-        f"{100 * peak_torque.share:.1f} % of the effort limit, {at}" if peak_torque.share else f"{at}; no effort limit"
-    )
+    share, at = peak_torque.share, f"{peak_torque.joint} at {peak_torque.time_s:.2f} s"
+    at = f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {at}"
+    return f"{100 * share:.1f} % of the effort limit, {at}" if share else f"{at}; no effort limit"
 
 
 def _program_facts(found: figures.ProgramFigures) -> dict[str, str]:

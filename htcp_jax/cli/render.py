@@ -8,7 +8,7 @@ from PIL import Image
 
 from htcp_jax import viewer
 from htcp_jax.cli.feed import OneWay, PlayedFeed, ProgramKeys, played_feed
-from htcp_jax.cli.methods import complete_method
+from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.runs import open_plans
@@ -24,10 +24,6 @@ SLOWEST, FASTEST = 0.1, 100.0
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp plan or htcp sweep.")]
 Scenario = Annotated[int, typer.Option(metavar="K", help="Number of the scenario in the sweep.")]
-Method = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Planning method; by default the run's first.", autocompletion=complete_method),
-]
 Target = Annotated[
     int | None, typer.Option(metavar="T", help="Target at which the arm is drawn; by default the last tracked one.")
 ]
@@ -35,19 +31,13 @@ Movie = Annotated[
     str | None,
     typer.Option(metavar="KIND", help=f"Kind of movie: {', '.join(movies.KINDS)}, none; by default {movies.KINDS[0]}."),
 ]
-Speed = Annotated[
-    float | None,
-    typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time)."),
-]
+Speed = Annotated[float | None, typer.Option(metavar="X", help="Playback speed with --feed; by default 1 (real time).")]
 Close = Annotated[bool, typer.Option("--close", help="Show the workpiece close up instead of the complete arm.")]
 FromPart = Annotated[
     bool, typer.Option("--from-part", help="Draw a moving part at rest and cut open; the cell moves around it.")
 ]
 Width = Annotated[int, typer.Option(metavar="PIXELS", help="Width of the picture; the movie has half of it.")]
-Out = Annotated[
-    Path,
-    typer.Option(metavar="DIR", help="Output folder, or only one file such as weld.mp4 or arm.png."),
-]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder, or only one file such as weld.mp4 or arm.png.")]
 
 
 class _Files(NamedTuple):
@@ -65,7 +55,7 @@ class _Files(NamedTuple):
 def render(
     run: Run,
     scenario: Scenario = 0,
-    method: Method = None,
+    method: RunMethod = None,
     target: Target = None,
     movie: Movie = None,
     close: Close = False,

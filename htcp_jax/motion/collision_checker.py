@@ -100,9 +100,9 @@ class CollisionChecker:
             a: Starts of the paths [rad or m].
             b: Ends of the paths [rad or m].
             tube: Allowed regions of the TCP; None: anywhere.
-            kept: Share of D that must remain, see `clearance.proof.motion_proof.prove`.
-            resolution_m: The proof is D > -resolution_m, see `prove`.
-            deepest: Maximum number of halvings, see `prove`.
+            kept: Share of D that must remain, see `clearance.proof.motion_proof.query_on`.
+            resolution_m: The proof is D > -resolution_m, see `query_on`.
+            deepest: Maximum number of halvings, see `query_on`.
             tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most
                 TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION.
         """

@@ -204,9 +204,8 @@ class Plans(NamedTuple):
     def outcome(self, scenario: int) -> Outcome:
         """Return the outcome of the scenario in one row."""
         row = slice(scenario, scenario + 1)
-        return (
-            outcomes(self.status[row], self.path_clear[row], self.segment_status[row]).of(0)._replace(scenario=scenario)
-        )
+        found = outcomes(self.status[row], self.path_clear[row], self.segment_status[row])
+        return found.of(0)._replace(scenario=scenario)
 
     def before(self, scenario: int | np.ndarray, target: int | np.ndarray) -> Float[np.ndarray, "*n N"]:
         """Return the configuration before each target: that of the previous row, or the start [rad or m]."""

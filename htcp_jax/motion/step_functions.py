@@ -183,7 +183,7 @@ def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
 
 
 class ProofResolution(NamedTuple):
-    """Resolution of a proof, see `clearance.proof.motion_proof.prove`."""
+    """Resolution of a proof, see `clearance.proof.motion_proof.query_on`."""
 
     kept: Float[jax.Array, ""]  # share of D to prove [1]
     resolution_m: Float[jax.Array, ""]  # the proof is D > -resolution_m [m]
@@ -209,9 +209,10 @@ def prove_path(
     Returns:
         A loop whose result is a `Proof`, see `proven_result`.
     """
-    look = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    check = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
     start = jax.tree.map(jnp.asarray, bisection.initial_state())
-    return Loop(start, lambda far: far.going, lambda _, far: look(far), lambda far: bisection.proven_result(far.proof))
+    result = lambda search: bisection.proven_result(search.proof)  # noqa: E731
+    return Loop(start, lambda search: search.going, lambda _, search: check(search), result)
 
 
 def task_rows(

@@ -170,13 +170,13 @@ def tool_cells(
         covers.append(_complete_cover(lanes, 1, len(robot.slides) - exclusion.WRIST))
     going, done = np.ones(lanes, bool), []
     while going.any():
-        turn = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
-        halved = [_halved_cells(executor, number, inputs, cells, turn, bodies) for number, cells in enumerate(covers)]
+        smaller = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)
+        halved = [_halved_cells(executor, inputs, k, cells, smaller == k, bodies) for k, cells in enumerate(covers)]
         if by_branch:
             halved = [_with_branches(executor, inputs, halved[0], bodies)]
         halved = [tables.gather(own, _meets(own, other)) for own, other in zip(halved, halved[::-1], strict=True)]
-        left = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
-        too_many = (left > most).any(axis=0)
+        counts = np.array([np.bincount(cells.lane, minlength=lanes) for cells in halved])
+        too_many = (counts > most).any(axis=0)
         small = _largest(halved[0], halved[0].radius_rad, lanes) <= resolution_rad
         tiny = np.min([_largest(cells, cells.half, lanes) for cells in halved], axis=0) < FINEST
         done.append(tables.gather(covers[0], too_many[covers[0].lane]))
@@ -203,8 +203,8 @@ def excluded(
         most: Maximum number of cells in either cover at a target.
         bodies: The bodies that the proof uses.
     """
-    left = tool_cells(executor, inputs, 0.0, most, robot, bodies)
-    return ~np.isin(np.arange(len(inputs.row)), left.lane)
+    clear = tool_cells(executor, inputs, 0.0, most, robot, bodies)
+    return ~np.isin(np.arange(len(inputs.row)), clear.lane)
 
 
 def _signs(d: int) -> Float[np.ndarray, "m d"]:
@@ -232,24 +232,16 @@ def _largest(cells: Cells, column: np.ndarray, lanes: int) -> np.ndarray:
 
 
 def _halved_cells(
-    executor: Executor,
-    number: int,
-    inputs: LaneInputs,
-    cells: Cells,
-    turn: Int[np.ndarray, "lanes"],
-    bodies: exclusion.Bodies,
+    executor: Executor, inputs: LaneInputs, number: int, cells: Cells, at: np.ndarray, bodies: exclusion.Bodies
 ) -> Cells:
-    """Return a cover after halving its cells at some targets, without halves that certainly collide.
-
-    Cells are halved at targets whose `turn` is `number`, the number of the cover.
-    """
-    now = turn[cells.lane] == number
+    """Return cover number 0 or 1 after halving its cells `at` some targets, without halves that certainly collide."""
+    now = at[cells.lane]
     fresh = tables.gather(cells, now).halves()
     if not len(fresh.lane):
         return cells
-    lane_function, where = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
+    lane_function, cell = (ARM, (fresh.cube, fresh.half)) if number else (TOOL, (fresh.quaternion, fresh.radius_rad))
     use = np.full(len(fresh.lane), int(bodies))
-    found = executor(lane_function, tables.gather(inputs, fresh.lane), *where, use)
+    found = executor(lane_function, tables.gather(inputs, fresh.lane), *cell, use)
     fresh = tables.gather(fresh._replace(wrist=found.wrist, moves=found.moves), ~found.collides)
     return tables.concatenate([tables.gather(cells, ~now), fresh])
 

@@ -31,11 +31,8 @@ from htcp_jax.placement.placement_result import PlacementResult, locked_search, 
 from htcp_jax.placement.scores import (
     MARGIN,
     RAISED,
+    MountingPlanner,
     MountingScores,
-    Planner,
-    evaluate,
-    evaluate_lowered,
-    evaluate_raised,
     sweep_of,
 )
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, SearchResults, best_apart, even, score
@@ -109,25 +106,20 @@ def place(
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
         report = _ProgressReporter(search, progress)
+        sweep = partial(
+            sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
+        )
 
         def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
-            run = sweeps.sweep(
-                grid,
-                [method],
-                into,
-                on=on,
-                device=device,
-                threads=threads,
-                progress=report.sweep,
-                targets_in_all=targets,
-            )
+            run = sweep(grid, [method], into)
             report.planned(run)
             return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
 
-        scores = list(_rounds(search, folder / "rounds", plan, report))
-        confirmed = _confirmed(search, scores, folder / "confirmed", plan)
-        for mountings, is_final in _rankings(search, confirmed, folder, plan):
+        planner = MountingPlanner(search, plan)
+        scores = list(_rounds(planner, folder / "rounds", report))
+        confirmed = _confirmed(planner, scores, folder / "confirmed")
+        for mountings, is_final in _rankings(planner, confirmed, folder):
             motions = _save_motions(search, confirmed, mountings, folder)
             found = write_result(folder, search, scores, mountings, motions, is_final)
         return found
@@ -187,9 +179,9 @@ class _ProgressReporter:
             self._progress(PlaceProgress(self._stage, *counts, now, self._most))
 
 
-def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReporter) -> Iterator[MountingScores]:
+def _rounds(planner: MountingPlanner, folder: Path, report: _ProgressReporter) -> Iterator[MountingScores]:
     """Propose and plan mountings round by round, and yield the scores of each round."""
-    known, number = None, 0
+    search, known, number = planner.search, None, 0
     budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
     mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
     evolved = 0 if mountings is None else int((1 - EVEN) * mountings) // (FROM * POPULATION)
@@ -205,7 +197,7 @@ def _rounds(search: Search, folder: Path, plan: Planner, report: _ProgressReport
             evolution = Evolution(known, len(search.file.objective), seed) if evolution is None else evolution
             u = evolution.ask()
         values = search.ranges.values(u)
-        found = evaluate_raised(search, plan, values, folder / f"{number:03d}", folder.with_name("raised"))
+        found = planner.evaluate_raised(values, folder / f"{number:03d}", folder.with_name("raised"))
         if not number:
             _refuse_collision(search, found, folder)
         own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
@@ -234,8 +226,9 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
     raise InputError(f"{search.name}: no motion can start in any of {len(found.values):,} mountings: {why}")
 
 
-def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, plan: Planner) -> MountingScores:
+def _confirmed(planner: MountingPlanner, scores: Sequence[MountingScores], folder: Path) -> MountingScores:
     """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS."""
+    search = planner.search
     values = np.concatenate([each.values for each in scores])
     known = SearchResults(
         (values - search.ranges.low) / search.ranges.width,
@@ -257,11 +250,11 @@ def _confirmed(search: Search, scores: Sequence[MountingScores], folder: Path, p
         for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
     ]
     every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
-    return evaluate(search, plan, every, search.file.confirm, folder, np.concatenate(margins))
+    return planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
 
 
 def _rankings(
-    search: Search, confirmed: MountingScores, folder: Path, plan: Planner
+    planner: MountingPlanner, confirmed: MountingScores, folder: Path
 ) -> Iterator[tuple[list[Mounting], bool]]:
     """Yield rankings of the confirmed mountings, each with True if it is final.
 
@@ -272,12 +265,8 @@ def _rankings(
     if not rows:
         yield [], True
         return
-    values, objective, pareto_front = (
-        confirmed.values[rows],
-        confirmed.objective[rows],
-        is_on_pareto_front(confirmed.objective[rows]),
-    )
-    margin = _planned_margins(confirmed)[rows]
+    values, objective, margin = confirmed.values[rows], confirmed.objective[rows], _planned_margins(confirmed)[rows]
+    pareto_front = is_on_pareto_front(objective)
 
     def mountings(
         order: np.ndarray, worst: np.ndarray, success_rate: np.ndarray, known: Mapping[int, PlacementTolerance]
@@ -290,38 +279,33 @@ def _rankings(
 
     unknown = np.full(objective.shape, np.nan)
     yield mountings(np.argsort(-objective[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
-    perturbation = perturbed(search, values, folder / "perturbed", partial(_anew, search, plan, margin))
+    perturbation = perturbed(planner.search, values, folder / "perturbed", partial(_planned_again, planner, margin))
     worst = np.minimum([one.objective.min(axis=0) for one in perturbation], objective)
     success_rate = np.array([one.complete.mean() for one in perturbation])
     order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
     first = order[:TOLERANCES]
-    known = tolerances(search, values[first], folder / "tolerance", partial(_anew, search, plan, None))
+    known = tolerances(planner.search, values[first], folder / "tolerance", partial(_planned_again, planner, None))
     yield mountings(order, worst, success_rate, dict(zip(first.tolist(), known, strict=True))), True
 
 
-def _anew(
-    search: Search,
-    plan: Planner,
-    margin_m: Float[np.ndarray, "m"] | None,
-    values: Float[np.ndarray, "n d"],
-    folder: Path,
+def _planned_again(
+    planner: MountingPlanner, margin_m: Float[np.ndarray, "m"] | None, values: Float[np.ndarray, "n d"], folder: Path
 ) -> MountingResults:
     """Return the results of quick plans for n perturbed mountings, n / m around each of m mountings.
 
     Args:
-        search: The search.
-        plan: The planner of the sweeps.
+        planner: Plans the mountings of the search.
         margin_m: Margins of the m mountings. If clearance is an objective, the shares LOWERED of these are tried before
             the job's margin. None: only the job's margin is tried.
         values: Parameters of the n perturbed mountings, each in the job's unit.
         folder: The folder of the plans.
     """
-    with_clearance = margin_m is not None and CLEARANCE in search.file.objective
+    with_clearance = margin_m is not None and CLEARANCE in planner.search.file.objective
     shares = LOWERED if with_clearance else ()
     margins = [] if margin_m is None else [s * np.repeat(margin_m, len(values) // len(margin_m)) for s in shares]
-    quick = evaluate_lowered(search, plan, values, folder, margins)
+    quick = planner.evaluate_lowered(values, folder, margins)
     # not marked as quick, so that the objective is the guaranteed clearance
-    proven = MountingScores(search, quick.run, quick.method, values, plans=quick.plans)
+    proven = MountingScores(planner.search, quick.run, quick.method, values, plans=quick.plans)
     return MountingResults(proven.complete, proven.objective)
 
 

@@ -92,23 +92,19 @@ class PlacementResult(NamedTuple):
         ]
 
     def _row(self, one: Mounting) -> dict[str, Any]:
-        axes, objectives, perturbation = (
-            self.search.ranges.axes,
-            self.search.file.objective,
-            self.search.file.perturbation,
-        )
+        axes, file = self.search.ranges.axes, self.search.file
         known = {} if one.tolerance is None else {
             "tolerance": {
-                "mm": one.tolerance.together * perturbation.mm,
-                "deg": one.tolerance.together * perturbation.deg,
+                "mm": one.tolerance.together * file.perturbation.mm,
+                "deg": one.tolerance.together * file.perturbation.deg,
                 "alone": {axis.name: v for axis, v in zip(axes, one.tolerance.alone.tolist(), strict=True)},
             }
         }  # fmt: skip
         return {
             "parameters": {axis.name: value for axis, value in zip(axes, one.values.tolist(), strict=True)},
             "margin_m": one.margin_m,
-            "objective": {name: v for name, v in zip(objectives, one.objective.tolist(), strict=True)},
-            "worst_objective": {name: v for name, v in zip(objectives, one.worst.tolist(), strict=True)},
+            "objective": {name: v for name, v in zip(file.objective, one.objective.tolist(), strict=True)},
+            "worst_objective": {name: v for name, v in zip(file.objective, one.worst.tolist(), strict=True)},
             "success_rate": one.success_rate,
             "pareto_front": one.pareto_front,
             **known,

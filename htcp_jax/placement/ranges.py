@@ -24,6 +24,31 @@ PLANNERS_OWN = ("settings.", "margin_m", "workpiece.interior", "workpiece.mesh",
 UNITS = {"_m": ("mm", 1e3), "_rad": ("°", 180 / math.pi), "_deg": ("°", 1.0)}
 
 
+class ShownParameter(NamedTuple):
+    """Display name and unit of a varied parameter."""
+
+    column: str  # name of its column in mountings.parquet
+    name: str  # for display, such as "shift x"
+    unit: str  # mm, °, or empty
+    scale: float  # factor from the column's values to displayed values
+
+    @property
+    def label(self) -> str:
+        """Label of the parameter's axis, with the unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+def parameter(column: str) -> ShownParameter:
+    """Return display name and unit of a column: "shift x" in mm for workpiece.shift_m.x."""
+    parts, (unit, scale) = column.split("."), ("", 1.0)
+    for k, part in enumerate(parts):
+        for ending, reported in UNITS.items():
+            if part.endswith(ending):
+                parts[k], (unit, scale) = part.removesuffix(ending), reported
+    parts = parts[1:] if parts[0] in ("workpiece", "robot") else parts
+    return ShownParameter(column, " ".join(parts).replace("_", " "), unit, scale)
+
+
 class Range(NamedTuple):
     """Range of a number that varies: the value of a job's key, or one element of a vector."""
 
@@ -38,14 +63,14 @@ class Range(NamedTuple):
         return self.key if self.element is None else f"{self.key}.{_element_name(self.key, self.element)}"
 
     @property
-    def unit(self) -> tuple[str, float]:
-        """Display unit, and the factor from the job's unit to the display unit."""
-        return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), ("", 1.0))
+    def shown(self) -> ShownParameter:
+        """Display name and unit of the parameter."""
+        return parameter(self.name)
 
     @property
     def is_angle(self) -> bool:
         """True if the parameter is an angle, in any unit."""
-        return self.unit[0] == "°"
+        return self.shown.unit == "°"
 
     def perturbed(self, off_m: float, off_deg: float) -> float:
         """Return the largest perturbation of the parameter, in its unit in the job.
@@ -54,7 +79,7 @@ class Range(NamedTuple):
         """
         if self.key.startswith("task."):
             return 0.0
-        return off_deg / self.unit[1] if self.is_angle else off_m
+        return off_deg / self.shown.scale if self.is_angle else off_m
 
 
 class Ranges(NamedTuple):

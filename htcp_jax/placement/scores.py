@@ -2,7 +2,7 @@
 
 A mounting is complete if a proven motion leads to the end of every seam. A planning method does not maximise clearance,
 it only satisfies the margin. Complete mountings are therefore planned again with larger margins, as long as they stay
-complete (`evaluate_raised`).
+complete (`MountingPlanner.evaluate_raised`).
 
 Results are saved shard by shard, as in any sweep, and are read if they exist, so an interrupted search can be resumed.
 They do not depend on the machine that plans them.
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -125,86 +125,85 @@ def sweep_of(
     return replace(grids.load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
 
 
-def evaluate(
-    search: Search,
-    plan: Planner,
-    values: Float[np.ndarray, "n d"],
-    method: str,
-    folder: Path,
-    margin_m: Float[np.ndarray, "n"] | None = None,
-    settings: Sequence[str] = (),
-) -> MountingScores:
-    """Plan mountings, or read existing plans from the folder, and return their scores.
+class MountingPlanner(NamedTuple):
+    """Plans the mountings of a search, or reads existing plans from a folder, and returns their scores.
 
-    Args:
-        search: The search.
-        plan: The planner of the sweep.
-        values: Parameters of the mountings, each in its unit in the job.
-        method: The method.
-        folder: The run folder.
-        margin_m: Margin of each mounting; None: the job's.
-        settings: Overrides of the job that make planning quicker; empty: none.
-
-    Raises:
-        InputError: As `runs.sweep.sweep`.
-        Interrupted: As `runs.sweep.sweep`.
+    In all methods, `values` are the parameters of the mountings, each in its unit in the job.
     """
-    run = plan(sweep_of(search, values, margin_m, settings), method, folder)
-    return MountingScores(search, run, method, values, quick=bool(settings))
 
+    search: Search
+    plan: Planner
 
-def evaluate_raised(
-    search: Search, plan: Planner, values: Float[np.ndarray, "n d"], folder: Path, raised: Path
-) -> MountingScores:
-    """Plan mountings quickly and return the plans with the largest margin that was found.
+    def evaluate(
+        self,
+        values: Float[np.ndarray, "n d"],
+        method: str,
+        folder: Path,
+        margin_m: Float[np.ndarray, "n"] | None = None,
+        settings: Sequence[str] = (),
+    ) -> MountingScores:
+        """Plan by one method; the margins are the job's or, if given, `margin_m` [m].
 
-    The first margin is the job's. If clearance is an objective, complete mountings are planned again with larger
-    margins as long as they stay complete.
+        Args:
+            values: The mountings.
+            method: The method.
+            folder: The run folder.
+            margin_m: Margin of each mounting; None: the job's.
+            settings: Overrides of the job that make planning quicker; empty: none.
 
-    Args:
-        search: The search.
-        plan: The planner of the sweeps.
-        values: Parameters of the mountings, each in its unit in the job.
-        folder: The folder of the first plans.
-        raised: The folder of the plans with larger margins.
-    """
-    found = evaluate(search, plan, values, search.file.screen, folder, settings=QUICK)
-    going = found.complete if CLEARANCE in search.file.objective else np.zeros(len(values), bool)
-    for k in range(RAISED):
-        if not going.any():
-            break
-        margin = np.maximum(FACTOR * found.guaranteed, search.job.margin_m)[going]
-        again = evaluate(search, plan, values[going], search.file.screen, raised / f"{folder.name}-{k}", margin, QUICK)
-        found, going = _with_better(found, again, going)
-    return found
+        Raises:
+            InputError: As `runs.sweep.sweep`.
+            Interrupted: As `runs.sweep.sweep`.
+        """
+        run = self.plan(sweep_of(self.search, values, margin_m, settings), method, folder)
+        return MountingScores(self.search, run, method, values, quick=bool(settings))
 
+    def evaluate_quickly(
+        self, values: Float[np.ndarray, "n d"], folder: Path, margin_m: Float[np.ndarray, "n"] | None = None
+    ) -> MountingScores:
+        """Plan by the search's quick method, with the settings QUICK."""
+        return self.evaluate(values, self.search.file.screen, folder, margin_m, QUICK)
 
-def evaluate_lowered(
-    search: Search,
-    plan: Planner,
-    values: Float[np.ndarray, "n d"],
-    folder: Path,
-    margins: Sequence[Float[np.ndarray, "n"]],
-) -> MountingScores:
-    """Return scores of quick plans, in which smaller and smaller margins are tried until a mounting is complete.
+    def evaluate_raised(self, values: Float[np.ndarray, "n d"], folder: Path, raised: Path) -> MountingScores:
+        """Plan mountings quickly and return the plans with the largest margin that was found.
 
-    Args:
-        search: The search.
-        plan: The planner of the sweeps.
-        values: Parameters of the mountings, each in its unit in the job.
-        folder: The folder of the sweeps, one per margin.
-        margins: Margins in the order in which they are tried, each for all mountings [m]; the job's comes last.
-    """
-    least = np.full(len(values), search.job.margin_m)
-    found, missing = None, np.ones(len(values), bool)
-    for k, margin in enumerate([*margins, least]):
-        if not missing.any():
-            break
-        own = np.maximum(margin, least)[missing]
-        again = evaluate(search, plan, values[missing], search.file.screen, folder / str(k), own, QUICK)
-        found = again if found is None else _with_better(found, again, missing)[0]
-        missing = ~found.complete
-    return found
+        The first margin is the job's. If clearance is an objective, complete mountings are planned again with larger
+        margins as long as they stay complete.
+
+        Args:
+            values: The mountings.
+            folder: The folder of the first plans.
+            raised: The folder of the plans with larger margins.
+        """
+        found = self.evaluate_quickly(values, folder)
+        going = found.complete if CLEARANCE in self.search.file.objective else np.zeros(len(values), bool)
+        for k in range(RAISED):
+            if not going.any():
+                break
+            margin = np.maximum(FACTOR * found.guaranteed, self.search.job.margin_m)[going]
+            again = self.evaluate_quickly(values[going], raised / f"{folder.name}-{k}", margin)
+            found, going = _with_better(found, again, going)
+        return found
+
+    def evaluate_lowered(
+        self, values: Float[np.ndarray, "n d"], folder: Path, margins: Sequence[Float[np.ndarray, "n"]]
+    ) -> MountingScores:
+        """Return scores of quick plans, in which smaller and smaller margins are tried until a mounting is complete.
+
+        Args:
+            values: The mountings.
+            folder: The folder of the sweeps, one per margin.
+            margins: Margins in the order in which they are tried, each for all mountings [m]; the job's comes last.
+        """
+        least = np.full(len(values), self.search.job.margin_m)
+        found, missing = None, np.ones(len(values), bool)
+        for k, margin in enumerate([*margins, least]):
+            if not missing.any():
+                break
+            again = self.evaluate_quickly(values[missing], folder / str(k), np.maximum(margin, least)[missing])
+            found = again if found is None else _with_better(found, again, missing)[0]
+            missing = ~found.complete
+        return found
 
 
 def _with_better(

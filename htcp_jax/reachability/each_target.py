@@ -19,9 +19,9 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from htcp_jax.model import Robot, Scenario
-from htcp_jax.motion import CollisionChecker, lane_inputs, tool_cells
-from htcp_jax.reachability.configuration_search import CARRIED, KnownConfigurations, carried, search, searched
+from htcp_jax.model import Scenario
+from htcp_jax.motion import lane_inputs, tool_cells
+from htcp_jax.reachability.configuration_search import CARRIED, ConfigurationSearch
 from htcp_jax.status import Exclusion
 
 TOGETHER, SEARCHED = 64, 4  # numbers of targets per call, for carrying over and for searches
@@ -80,61 +80,28 @@ class EachTarget(NamedTuple):
         return np.where(is_excluded.any(axis=1), is_excluded.argmax(axis=1), self.reach.shape[1])
 
 
-def judge_each(
-    checker: CollisionChecker,
-    known: KnownConfigurations,
-    robot: Robot,
-    scenarios: Scenario,
-    x: Float[np.ndarray, "S T N"],
-    *,
-    seed: int,
-    resolution_rad: float,
-    proof_cells: int,
-    mapped: Mapped,
-    progress: Callable[[int, int], None],
-) -> EachTarget:
-    """Classify every target on the path by itself.
+class TargetJudge:
+    """Classifies every target on the path by itself; the result does not depend on the chunk that a target is in.
 
     Args:
-        checker: Collision checker of the scene.
-        known: Result of `known_configurations`.
-        robot: The arm, without the scenarios' tool extensions.
+        search: The search for configurations.
         scenarios: S stacked scenarios.
         x: Known collision-free configurations [rad or m]; NaN elsewhere.
         seed: Seed of the random moves.
-        resolution_rad: Resolution of the tool's orientations.
-        proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
         mapped: Function that maps a function over chunks of targets.
         progress: Function that is called with the numbers of decided targets and of all targets.
     """
-    judge = _Judge(checker, scenarios, x, seed, mapped, progress)
-    judge.carry_over()
-    if checker.task.holds_tcp:
-        judge.search(known, COARSER * resolution_rad)
-        judge.carry_over()
-    if proof_cells:
-        judge.exclude(robot, proof_cells)
-    judge.search(known, resolution_rad)
-    judge.carry_over()
-    is_open = judge.reach == Reach.UNDECIDED
-    known_at = (judge.reach == Reach.REACHABLE) | (is_open & (judge.clearance_m > -np.inf))
-    clearance_m, x = np.where(is_open, judge.clearance_m, np.nan), np.where(known_at[..., None], judge.x, np.nan)
-    return EachTarget(judge.reach, clearance_m, x)
-
-
-class _Judge:
-    """State of `judge_each`, with the same arguments. A target's result does not depend on the chunk that it is in."""
 
     def __init__(
         self,
-        checker: CollisionChecker,
+        search: ConfigurationSearch,
         scenarios: Scenario,
         x: Float[np.ndarray, "S T N"],
         seed: int,
         mapped: Mapped,
         progress: Callable[[int, int], None],
     ):
-        self._checker, self._scenarios, self._seed = checker, scenarios, seed
+        self._search, self._scenarios, self._seed = search, scenarios, seed
         self._mapped, self._progress = mapped, progress
         index = np.arange(scenarios.targets.shape[1])
         on_path = (index >= scenarios.on_path[:, None]) & (index < scenarios.count[:, None])
@@ -143,7 +110,27 @@ class _Judge:
         self.reach[~np.isnan(self.x).any(axis=2)] = Reach.REACHABLE
         self._count = int(on_path.sum())
 
-    def carry_over(self) -> None:
+    def judge(self, resolution_rad: float, proof_cells: int) -> EachTarget:
+        """Classify the targets.
+
+        Args:
+            resolution_rad: Resolution of the tool's orientations.
+            proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
+        """
+        self._carry_over()
+        if self._search.checker.task.holds_tcp:
+            self._search_open(COARSER * resolution_rad)
+            self._carry_over()
+        if proof_cells:
+            self._each(partial(self._excluded, proof_cells), self._open(), TOGETHER // 4)
+        self._search_open(resolution_rad)
+        self._carry_over()
+        is_open = self.reach == Reach.UNDECIDED
+        known_at = (self.reach == Reach.REACHABLE) | (is_open & (self.clearance_m > -np.inf))
+        clearance_m, x = np.where(is_open, self.clearance_m, np.nan), np.where(known_at[..., None], self.x, np.nan)
+        return EachTarget(self.reach, clearance_m, x)
+
+    def _carry_over(self) -> None:
         """Carry configurations over from the nearest reachable targets until no further target is reached."""
         tried: dict[tuple[int, int], tuple[int, ...]] = {}
         while True:
@@ -156,13 +143,9 @@ class _Judge:
             if (self.reach == Reach.REACHABLE).sum() == before:
                 return
 
-    def search(self, known: KnownConfigurations, resolution_rad: float) -> None:
+    def _search_open(self, resolution_rad: float) -> None:
         """Search the undecided targets at a resolution of the tool's orientations."""
-        self._each(partial(self._searched, known, resolution_rad), self._open(), SEARCHED)
-
-    def exclude(self, robot: Robot, cells: int) -> None:
-        """Try to exclude the undecided targets by proof, with at most `cells` cells per target."""
-        self._each(partial(self._excluded, robot, cells), self._open(), TOGETHER // 4)
+        self._each(partial(self._searched, resolution_rad), self._open(), SEARCHED)
 
     def _open(self) -> Pairs:
         return np.argwhere(self.reach == Reach.UNDECIDED)
@@ -200,12 +183,12 @@ class _Judge:
 
     def _carried(self, near: Mapping[tuple[int, int], tuple[int, ...]], pairs: Pairs) -> tuple:
         beam = [self.x[s, list(near[s, t])] for s, t in pairs.tolist()]
-        return self._reached(pairs, carried(self._checker, self._inputs(pairs), beam))
+        return self._reached(pairs, self._search.carried(self._inputs(pairs), beam))
 
-    def _searched(self, known: KnownConfigurations, resolution_rad: float, pairs: Pairs) -> tuple:
+    def _searched(self, resolution_rad: float, pairs: Pairs) -> tuple:
         inputs = self._inputs(pairs)
-        here = search(self._checker, known, inputs, resolution_rad).at
-        reach, x, _ = self._reached(pairs, searched(self._checker, inputs, here))
+        here = self._search.search(inputs, resolution_rad).at
+        reach, x, _ = self._reached(pairs, self._search.searched(inputs, here))
         is_reached = reach == Reach.REACHABLE
         return reach, np.where(is_reached[:, None], x, here.x[:, 0]), here.clearance[:, 0]
 
@@ -214,7 +197,8 @@ class _Judge:
         found = ~np.isnan(x).any(axis=1)
         return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), x, np.where(found, np.inf, -np.inf)
 
-    def _excluded(self, robot: Robot, cells: int, pairs: Pairs) -> tuple:
-        found = tool_cells.exclusions(self._checker.executor, robot, self._inputs(pairs), cells)
+    def _excluded(self, cells: int, pairs: Pairs) -> tuple:
+        executor, robot = self._search.checker.executor, self._search.robot
+        found = tool_cells.exclusions(executor, robot, self._inputs(pairs), cells)
         reach = np.where(found == Exclusion.NONE, Reach.UNDECIDED, found)
         return reach, np.full((len(pairs), self.x.shape[2]), np.nan), np.full(len(pairs), -np.inf)

@@ -134,17 +134,8 @@ def obstructions(
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
         note = robots.mesh_note(own, body, other, x, surfaces, bool(by_piece))
-        one = Obstruction(
-            body,
-            point,
-            float(depth),
-            float(off),
-            reached,
-            x,
-            other,
-            note,
-            body_label=robots.capsule_label(robot, body),
-        )
+        label = robots.capsule_label(robot, body)
+        one = Obstruction(body, point, float(depth), float(off), reached, x, other, note, label)
         if not (reached or task.is_points):
             distance, angle, within = _distance_from_goal(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
             one = one._replace(residual_m=distance, angle_rad=angle, within_bands=within)

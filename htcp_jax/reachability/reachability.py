@@ -24,14 +24,8 @@ from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
 from htcp_jax.motion import CollisionChecker, lane_inputs, tool_cells
-from htcp_jax.reachability.configuration_search import (
-    KnownConfigurations,
-    carried,
-    known_configurations,
-    search,
-    searched,
-)
-from htcp_jax.reachability.each_target import EachTarget, judge_each
+from htcp_jax.reachability.configuration_search import ConfigurationSearch
+from htcp_jax.reachability.each_target import EachTarget, TargetJudge
 from htcp_jax.settings import Settings
 
 RESOLUTION_RAD = 0.11
@@ -98,7 +92,8 @@ def reachable_prefixes(
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, of_workpiece.all_obstacles(workpiece, obstacles), task)
     checker = CollisionChecker(Executor(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
-    known = known_configurations(robot, scenarios.tool_extension_m)
+    search = ConfigurationSearch(checker, robot, scenarios.tool_extension_m)
+    cells = proof_cells if task.holds_tcp else 0
     threads = devices.default_threads([checker.executor.device], settings.qp)
     parts = [initial_reachability(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
     stop = threading.Event()
@@ -113,8 +108,7 @@ def reachable_prefixes(
                 progress(row, rows)
 
         found = parts[number]
-        own = _prefixes(checker, known, own, settings.seed, resolution_rad, found, report)
-        cells = proof_cells if task.holds_tcp else 0
+        own = _prefixes(search, own, settings.seed, resolution_rad, found, report)
         parts[number] = found._replace(most=_upper_bounds(checker.executor, robot, own, found, cells))
 
     pool = ThreadPoolExecutor(threads)
@@ -122,18 +116,10 @@ def reachable_prefixes(
         list(pool.map(work, range(threads)))
         if each:
             found = tables.interleaved(parts)
-            judged = judge_each(
-                checker,
-                known,
-                robot,
-                scenarios,
-                found.x,
-                seed=settings.seed,
-                resolution_rad=resolution_rad,
-                proof_cells=proof_cells if task.holds_tcp else 0,
-                mapped=lambda function, chunks: list(pool.map(function, chunks)),
-                progress=progress or (lambda done, count: None),
-            )
+            mapped = lambda function, chunks: list(pool.map(function, chunks))  # noqa: E731
+            report = progress or (lambda done, count: None)
+            judge = TargetJudge(search, scenarios, found.x, settings.seed, mapped, report)
+            judged = judge.judge(resolution_rad, cells)
             return found._replace(most=np.minimum(found.most, judged.first_excluded), each=judged)
     except KeyboardInterrupt:
         raise SearchStopped(tables.interleaved(parts)) from None
@@ -153,8 +139,7 @@ def initial_reachability(scenarios: Scenario) -> Reachability:
 
 
 def _prefixes(
-    checker: CollisionChecker,
-    known: KnownConfigurations,
+    search: ConfigurationSearch,
     scenarios: Scenario,
     seed: int,
     resolution_rad: float,
@@ -176,9 +161,7 @@ def _prefixes(
         looked = alive
         while len(looked):
             inputs = lane_inputs.lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
-            clear, best, coarsest = _clear_configurations(
-                checker, known, inputs, [beam[s] for s in looked], resolution_rad
-            )
+            clear, best, coarsest = _clear_configurations(search, inputs, [beam[s] for s in looked], resolution_rad)
             for k, s in enumerate(looked):
                 found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
                 if len(clear[k]):
@@ -194,25 +177,22 @@ def _prefixes(
 
 
 def _clear_configurations(
-    checker: CollisionChecker,
-    known: KnownConfigurations,
-    inputs: lane_inputs.LaneInputs,
-    beam: list,
-    resolution_rad: float,
+    search: ConfigurationSearch, inputs: lane_inputs.LaneInputs, beam: list, resolution_rad: float
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return the clear configurations at n targets, carried over from each `beam` or else searched for.
 
     Also return the largest clearance [m] and the resolution [rad] at targets without a clear configuration; NaN and 0
     at other targets.
     """
-    clear = carried(checker, inputs, beam)
+    clear = search.carried(inputs, beam)
     best, coarsest = np.full(len(beam), np.nan), np.zeros(len(beam))
-    for coarser in COARSE_FIRST if checker.task.holds_tcp else (1,):
+    for coarser in COARSE_FIRST if search.checker.task.holds_tcp else (1,):
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
-        here = search(checker, known, tables.gather(inputs, which), coarser * resolution_rad)
-        for k, own in zip(which, searched(checker, tables.gather(inputs, which), here.at), strict=True):
+        lost_inputs = tables.gather(inputs, which)
+        here = search.search(lost_inputs, coarser * resolution_rad)
+        for k, own in zip(which, search.searched(lost_inputs, here.at), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
         best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad

@@ -17,7 +17,7 @@ from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.timing import feed_targets, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
-from htcp_jax.runs import columns
+from htcp_jax.runs import columns, summary
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
@@ -101,7 +101,7 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         made["joint-steps"],
         BLOCKED,
         *_motion_pictures(part, prefix),
-        *validation_section(part.validation, part.run_labels, level),
+        *validation_section(part.validation, part.run.labels(), level),
         Heading(level, "Time"),
         f"For the complete run, on {_device(part)}.",
         made["times"],
@@ -113,13 +113,11 @@ def answer(part: Part) -> str:
     found = []
     for method, plans in part.plans.items():
         done = plans.outcomes.can_be_driven
-        known = part.motions[method].segment_clearance_min_m[done]
-        known = known[~np.isnan(known)]
-        least = f"{1e3 * known.min():.3g} mm" if known.size else None
-        after = motion.narrowest_segment(plans, without_transfer=True)[1][done]
-        after = after[~np.isnan(after)]
-        if known.size and after.size and after.min() > known.min():
-            least = f"{1e3 * after.min():.3g} mm, in transfers {least}"
+        known = 1e3 * summary.reduced(np.min, part.motions[method].segment_clearance_min_m[done])
+        after = 1e3 * summary.reduced(np.min, motion.narrowest_segment(plans, without_transfer=True)[1][done])
+        least = None if math.isnan(known) else f"{known:.3g} mm"
+        if after > known:
+            least = f"{after:.3g} mm, in transfers {least}"
         found.append((int(done.sum()), method, least))
     found.sort(key=lambda each: -each[0])
     planned = int(part.plans[found[0][1]].outcomes.planned.sum())
@@ -219,46 +217,40 @@ def _maps(part: Part, prefix: str) -> list[Block]:
     One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
     means. Each parameter of the task is also drawn as a line.
     """
-    counts = {method: _count_or_nan(plans, plans.outcomes.tracked) for method, plans in part.plans.items()}
-    open_ = {method: _count_or_nan(plans, plans.outcomes.executable) for method, plans in part.plans.items()}
     names = list(part.axes)
     axes = {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
-    alt = "Tracked targets of every scenario over the grid, by method"
 
-    def over(*chosen):
-        return {method: part.cells(values, chosen) for method, values in counts.items()}
+    def cells(count, chosen):
+        values = {m: _count_or_nan(plans, getattr(plans.outcomes, count)) for m, plans in part.plans.items()}
+        return {method: part.cells(own, chosen) for method, own in values.items()}
 
-    def executable_of(*chosen):
-        return {method: part.cells(values, chosen) for method, values in open_.items()}
+    def picture(draw, chosen, name="map", **options):
+        given = cells("tracked", chosen), *(axes[each] for each in chosen), part.targets
+        figure = draw(*given, executable=cells("executable", chosen), **options)
+        return Picture(f"{prefix}{name}", figure, "Tracked targets of every scenario over the grid, by method")
 
-    def means(*chosen):
-        note = "Mean over the other axes."
-        given = over(*chosen), *(axes[name] for name in chosen), part.targets
-        figure = charts.success_map(*given, executable=executable_of(*chosen), note=note)
-        return Picture(f"{prefix}map-{'-'.join(str(names.index(name) + 1) for name in chosen)}", figure, alt)
+    def means(chosen):
+        name = f"map-{'-'.join(str(names.index(each) + 1) for each in chosen)}"
+        return picture(charts.success_map, chosen, name, note="Mean over the other axes.")
 
     def line(name):
-        given = over(name), axes[name], part.targets
         known = part.reachability
         options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return Picture(f"{prefix}map", charts.success_line(*given, executable=executable_of(name), **options), alt)
+            return picture(charts.success_line, [name], **options)
         options["title"] = f"Success over {axes[name].label}, means over the other axes"
-        figure = charts.success_line(*given, executable=executable_of(name), **options)
-        return Picture(f"{prefix}along-{name.replace('.', '-')}", figure, alt)
+        return picture(charts.success_line, [name], f"along-{name.replace('.', '-')}", **options)
 
     if not names:
         return ["The scenarios do not differ in any parameter."]
     along = [*_full_names(axes.values()), *(line(name) for name in names if name.startswith(OF_TASK))]
     if len(names) == 1:
         return along if names[0].startswith(OF_TASK) else [*along, line(names[0])]
-    elif len(names) == 2:
-        figure = charts.success_map(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
-    elif len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        figure = charts.success_slices(over(*names), *axes.values(), part.targets, executable=executable_of(*names))
-    else:
-        return [*along, means(*names[:2]), *([means(*names[-2:])] if len(names) > 3 else [])]
-    return [*along, Picture(f"{prefix}map", figure, alt)]
+    if len(names) == 2:
+        return [*along, picture(charts.success_map, names)]
+    if len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
+        return [*along, picture(charts.success_slices, names)]
+    return [*along, means(names[:2]), *([means(names[-2:])] if len(names) > 3 else [])]
 
 
 def _full_names(axes: "Iterable[charts.Axis]") -> list[str]:
@@ -314,7 +306,7 @@ def _manipulability_blocks(part: Part, prefix: str) -> list[Block]:
 
 
 def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
-    names, units = zip(*(joint.rsplit("_", 1) for joint in part.joints), strict=True)
+    names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
     steps = charts.joint_motion({method: plans.joint_step for method, plans in part.plans.items()})
     x = {method: plans.x for method, plans in part.plans.items()}
     joints = charts.joint_motion_by_joint(x, names, unit=" or ".join(sorted(set(units), reverse=True)))
@@ -333,7 +325,7 @@ def _notes_on_results(part: Part) -> list[str]:
         "collisions and the tool on its path. Tracked targets after the end of this motion are not executable. "
         + _unchecked_sentence(part),
         "Means and the minimum clearance are over the tracked targets: a method that tracks more targets "
-        "also passes narrower places. Time per step: planning time / attempted targets, over the complete run.",
+        "also passes narrower places. Time/target: planning time / attempted targets, over the complete run.",
     ]
 
 
@@ -349,10 +341,10 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
     return [
         Heading(level, f"Next to the paper, table {part.paper_table.number}"),
         table,
-        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time per step: planning time / attempted "
-        "targets. TCP distance: mean over the tracked targets. Safe distance: the mean clearance D over the tracked "
-        "targets. The paper does not specify its averages, the start configuration or the workpiece's pose; "
-        "benchmarks/PAPER.md compares other definitions.",
+        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time/target: planning time / attempted "
+        "targets. TCP distance: mean over the tracked targets. Clearance: mean of D over them, which the paper calls "
+        "safe distance. The paper does not specify its averages, the start configuration or the workpiece's "
+        "pose; benchmarks/PAPER.md compares other definitions.",
     ]
 
 

@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from htcp_jax.markup import escaped
@@ -14,6 +15,8 @@ from htcp_jax.system import files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+PAGE = Path(__file__).with_name("page.html")
 
 
 class Table(NamedTuple):
@@ -102,7 +105,7 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     """
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
     body = "\n".join(_html(block, pictures) for block in blocks)
-    return _PAGE.format(title=escape(title), style=_STYLE, body=body)
+    return Template(PAGE.read_text()).substitute(title=escape(title), body=body)
 
 
 def write_csv(file: Path, table: Table) -> None:
@@ -177,47 +180,3 @@ def _html_table(table: Table) -> str:
 
 def _texts(table: Table) -> list[list[str]]:
     return [[c.text(value) for c, value in zip(table.columns, row, strict=True)] for row in table.rows]
-
-
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>{style}</style>
-</head>
-<body>
-{body}
-</body>
-</html>
-"""
-
-_STYLE = """
-:root { color-scheme: light; }
-body { max-width: 70rem; margin: 2.5rem auto 5rem; padding: 0 1.25rem; background: #fff; color: #22303c;
-  font: 1rem/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-h1 { font-size: 1.8rem; line-height: 1.2; margin: 0 0 .6rem; }
-h2 { font-size: 1.4rem; margin: 3.2rem 0 .6rem; padding-top: 1rem; border-top: 2px solid #22303c; }
-h3 { font-size: 1.1rem; margin: 2.2rem 0 .5rem; }
-p { max-width: 46rem; margin: .5rem 0 .9rem; }
-img { display: block; width: 100%; height: auto; margin: 1.2rem 0; }
-@media (max-width: 48rem) { .picture { overflow-x: auto; } .picture img { width: 48rem; } }
-.wide { overflow-x: auto; margin: 1rem 0; width: max-content; max-width: min(100vw - 2.5rem, 50vw + 33.75rem); }
-table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
-caption { text-align: left; font-weight: 600; padding-bottom: .4rem; }
-th, td { padding: .32rem .42rem; text-align: left; vertical-align: top; }
-th { font-weight: 600; line-height: 1.25; vertical-align: bottom; border-bottom: 1.5px solid #22303c; }
-th small { font-weight: 400; color: #5d6b77; }
-td { border-bottom: 1px solid #e6e9ec; }
-th:first-child, td:first-child { padding-left: 0; }
-td:not(:last-child) { white-space: nowrap; }
-.number { text-align: right; white-space: nowrap; }
-@media screen and (max-width: 60rem) { td:nth-child(n + 3):last-child:not(.number) { min-width: 14rem; } }
-.quiet { color: #5d6b77; }
-tbody tr:hover { background: #f5f7f8; }
-@media print { body { max-width: none; margin: 0; } h2, h3 { break-after: avoid; }
-  .picture, tr { break-inside: avoid; } th.number { white-space: normal; }
-  .wide { overflow: visible; max-width: none; width: auto; } table { font-size: .7rem; }
-  .picture img { width: 100%; } }
-"""

@@ -1,57 +1,24 @@
 """Parts of a run for the report: one part for each group of scenarios in the sweep."""
 
+import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Int
 
 from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
+from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, reachability_file
 from htcp_jax.runs import labels as scenario_labels
 from htcp_jax.runs import tables as scenario_tables
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-
-@runtime_checkable
-class SceneOfRun(Protocol):
-    """Interface of `cell.OpenedScene`: a run's robot and workpiece."""
-
-    @property
-    def problem(self) -> str:
-        """Reason why the scene cannot be read; empty if it can."""
-
-    def colliding_bodies(self, method: str) -> dict[int, Any]:
-        """Return the colliding body by scenario, for the scenarios in which a method failed."""
-
-    def picture(self, number: int, method: str, title: str) -> "Figure | None":
-        """Draw a scenario's arm in its workpiece; return None if the scene cannot be read.
-
-        Args:
-            number: The number of the scenario.
-            method: The method.
-            title: The title of the figure.
-        """
-
-    def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> "Figure | None":
-        """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.
-
-        Args:
-            numbers: The numbers of the scenarios.
-            reach: Values of `Reach`, a row per scenario.
-            name: Name of the group of scenarios, for the title.
-        """
-
-
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Part:
     """Group of S scenarios, with up to T targets each, that at least one method has planned."""
 
@@ -68,11 +35,9 @@ class Part:
     not_excluded: np.ndarray | None  # (S,) upper bound on consecutive reachable targets; None if unknown
     reach: np.ndarray | None  # (S, T) values of `Reach`, each target by itself; None if unknown
     step_s: dict[str, float]  # by method: planning time / number of attempted targets, over the complete run
-    joints: tuple[str, ...]
     run: Run
-    run_labels: dict[int, str]  # varied parameters as text, by scenario of the run
     validation: dict[str, Any] | None  # contents of validation.json, for the complete run
-    scene: SceneOfRun
+    scene: OpenedScene
 
     @property
     def targets(self) -> int:
@@ -102,7 +67,7 @@ class Part:
     @cached_property
     def paper_table(self) -> paper.PaperTable | None:
         """The paper's table whose grid and start the part has; None if there is no such table."""
-        middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.joints]
+        middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.run.manifest.joints]
         if len(middle) != len(paper.START) or not np.allclose(middle, paper.START) or self.targets != paper.TARGETS:
             return None
         for table in (paper.ROBOT, paper.WORKPIECE):
@@ -130,69 +95,75 @@ class Part:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
 
 
-def read_parts(run: Run, name: str, scene_of: Callable[[Run, dict[str, Plans]], SceneOfRun]) -> list[Part]:
+def read_parts(run: Run, name: str) -> list[Part]:
     """Read the parts of a run, in the order of its scenarios.
 
     Args:
         run: The run.
         name: The run's name in the report.
-        scene_of: Function that returns the scene for a run and its plans by method.
 
     Raises:
         InputError: If the run has no finished shard, or if a file is missing or damaged.
     """
     methods = [method for method in run.methods if any(shard.method == method for shard in run.manifest.shards)]
-    whole = run.scenarios(*methods)
-    _, first = np.unique(whole["scenario"].to_numpy(), return_index=True)
-    table = whole.take(pa.array(first))
+    scenarios = run.scenarios(*methods)
+    _, first = np.unique(scenarios["scenario"].to_numpy(), return_index=True)
+    table = scenarios.take(pa.array(first))
+    numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
     plans = {method: run.plans(method) for method in methods}
     longest = max(each.status.shape[1] for each in plans.values())
     plans = {method: each.widened(longest) for method, each in plans.items()}
-    parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
-    motions = {method: _figures_of_method(run, method) for method in methods}
-    manipulability = {method: _manipulability_of_method(run, method, longest) for method in methods}
     timing = {method: run.timing(method) for method in methods}
-    numbers, reachability = table["scenario"].to_numpy(), reachability_file.read_reachability(run)
+    whole = Part(
+        run_name=name,
+        name=name,
+        numbers=np.arange(run.manifest.count),
+        parameters={},
+        plans=plans,
+        motions={method: _figures_of_method(run, method) for method in methods},
+        timing={method: each and each.rows for method, each in timing.items()},
+        timed_with={method: each.words for method, each in timing.items() if each is not None},
+        manipulability={method: _manipulability_of_method(run, method, longest) for method in methods},
+        reachability=None if reachability is None else reachability.prefix,
+        not_excluded=None if reachability is None else reachability.most,
+        reach=None if reachability is None else reachability.each,
+        step_s={method: each.step_s for method, each in plans.items()},
+        run=run,
+        validation=read_validation(run),
+        scene=OpenedScene(run, plans),
+    )
+    parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
     groups = np.array([group or "" for group in table["group"].to_pylist()])
-    shared = {
-        "run_name": name,
-        "step_s": {method: each.step_s for method, each in plans.items()},
-        "joints": run.manifest.joints,
-        "run": run,
-        "run_labels": scenario_labels.labels_of(whole),
-        "timed_with": {method: each.words for method, each in timing.items() if each is not None},
-        "validation": read_validation(run),
-        "scene": scene_of(run, plans),
-    }
     parts = []
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
-        own = {method: each.rows(numbers[here]) for method, each in plans.items()}
-        parts.append(
-            Part(
-                name=f"{name}: {group}" if group else name,
-                numbers=numbers[here],
-                parameters={key: values[here] for key, values in parameters.items()},
-                plans={method: each for method, each in own.items() if each.exists.any()},
-                motions={
-                    method: motion.MotionFigures(*(c[numbers[here]] for c in each)) for method, each in motions.items()
-                },
-                timing={
-                    m: each and _rows_of_scenarios(each.rows, numbers[here]) for m, each in timing.items() if m in own
-                },
-                manipulability={method: manipulability[method][numbers[here]] for method in own},
-                reachability=None if reachability is None else reachability.prefix[numbers[here]],
-                not_excluded=None if reachability is None else reachability.most[numbers[here]],
-                reach=None if reachability is None or reachability.each is None else reachability.each[numbers[here]],
-                **shared,
-            )
-        )
+        own = {key: values[here] for key, values in parameters.items()}
+        parts.append(_with_scenarios(whole, f"{name}: {group}" if group else name, numbers[here], own))
     return parts
 
 
-def _rows_of_scenarios(rows: pa.Table, numbers: np.ndarray) -> pa.Table:
-    """Return the rows whose scenario is one of `numbers`."""
-    return rows.filter(pa.array(np.isin(rows["scenario"].to_numpy(), numbers)))
+def _with_scenarios(whole: Part, name: str, numbers: np.ndarray, parameters: dict[str, np.ndarray]) -> Part:
+    """Return the part with some of a run's scenarios.
+
+    Args:
+        whole: Part with all scenarios of the run.
+        name: Name of the part.
+        numbers: Numbers of its scenarios.
+        parameters: Values of the parameters in these scenarios.
+    """
+    plans = {method: each.rows(numbers) for method, each in whole.plans.items()}
+    bounds = {key: getattr(whole, key) for key in ("reachability", "not_excluded", "reach")}
+    return dataclasses.replace(
+        whole,
+        name=name,
+        numbers=numbers,
+        parameters=parameters,
+        plans={method: each for method, each in plans.items() if each.exists.any()},
+        motions={m: motion.MotionFigures(*(values[numbers] for values in each)) for m, each in whole.motions.items()},
+        timing={m: rows and rows.filter(np.isin(rows["scenario"], numbers)) for m, rows in whole.timing.items()},
+        manipulability={method: values[numbers] for method, values in whole.manipulability.items()},
+        **{key: None if values is None else values[numbers] for key, values in bounds.items()},
+    )
 
 
 def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray:

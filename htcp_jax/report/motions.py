@@ -34,12 +34,12 @@ def meaning(part: Part) -> str:
 
 def common_scenarios(part: Part) -> np.ndarray:
     """Return the mask (S,) of the scenarios in which every method's motion leads to the last target."""
-    return np.logical_and.reduce([_can_be_driven(part, method) for method in part.plans])
+    return np.logical_and.reduce([plans.outcomes.can_be_driven for plans in part.plans.values()])
 
 
 def _motion_row(part: Part, method: str, common: np.ndarray) -> dict:
     ends, found = part.plans[method].outcomes, part.motions[method]
-    known, complete = ~np.isnan(found.dwells), _can_be_driven(part, method)
+    known, complete = ~np.isnan(found.dwells), ends.can_be_driven
     return {
         "method": method,
         "tracked": int(ends.tracked.sum()),
@@ -53,10 +53,6 @@ def _motion_row(part: Part, method: str, common: np.ndarray) -> dict:
         "curvature_median_rad_m2": summary.reduced(np.median, found.curvature_max_rad_m2),
         "curvature_max_rad_m2": summary.reduced(np.max, found.curvature_max_rad_m2),
     }
-
-
-def _can_be_driven(part: Part, method: str) -> np.ndarray:
-    return part.plans[method].outcomes.can_be_driven
 
 
 def _geometric_mean(values: np.ndarray) -> float:

@@ -18,26 +18,12 @@ from htcp_jax.runs import open as plan_sets
 from htcp_jax.system import files
 
 
-class ShownParameter(NamedTuple):
-    """Display name and unit of a varied parameter."""
-
-    column: str  # name of its column in mountings.parquet
-    name: str  # for display, such as "shift x"
-    unit: str  # mm, °, or empty
-    scale: float  # factor from the column's values to displayed values
-
-    @property
-    def label(self) -> str:
-        """Label of the parameter's axis, with the unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
 class SearchTable(NamedTuple):
     """Results of a search: n mountings with d parameters and A objectives; r mountings are ranked, best first."""
 
     name: str
     scenarios: int
-    parameters: tuple[ShownParameter, ...]
+    parameters: tuple[ranges.ShownParameter, ...]
     values: Float[np.ndarray, "n d"]  # parameters of all mountings, in display units
     done: Float[np.ndarray, "n"]  # share of targets that a proven motion reaches, over all seams
     complete: Bool[np.ndarray, "n"]
@@ -81,7 +67,7 @@ def read_search(folder: str | Path) -> SearchTable:
 
 def _search_table(requested: dict[str, Any], reported: dict[str, Any], table: pa.Table) -> SearchTable:
     names = table.column_names
-    parameters = tuple(map(parameter, names[1 : names.index("done")]))
+    parameters = tuple(map(ranges.parameter, names[1 : names.index("done")]))
     objectives, rows = tuple(reported["objective"]), reported["ranked"]
     scale = np.array([one.scale for one in parameters])
     values = np.stack([table[one.column].to_numpy() for one in parameters], axis=1) * scale
@@ -115,14 +101,3 @@ def _objectives(rows: list[dict[str, Any]], which: str, objectives: tuple[str, .
     ]
     found = np.array(found, float).reshape(-1, len(objectives))
     return np.where(np.isfinite(found), found, np.nan)
-
-
-def parameter(column: str) -> ShownParameter:
-    """Return display name and unit of a column: "shift x" in mm for workpiece.shift_m.x."""
-    parts, (unit, scale) = column.split("."), ("", 1.0)
-    for k, part in enumerate(parts):
-        for ending, reported in ranges.UNITS.items():
-            if part.endswith(ending):
-                parts[k], (unit, scale) = part.removesuffix(ending), reported
-    parts = parts[1:] if parts[0] in ("workpiece", "robot") else parts
-    return ShownParameter(column, " ".join(parts).replace("_", " "), unit, scale)

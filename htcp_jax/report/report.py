@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from htcp_jax.errors import InputError
 from htcp_jax.planning import registry
-from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
@@ -21,7 +20,6 @@ from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, columns, open_run
 from htcp_jax.runs import tables as run_tables
-from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
 if TYPE_CHECKING:
@@ -70,7 +68,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
     opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
     names = _numbered([_run_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name, OpenedScene)]
+    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
     made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
@@ -134,28 +132,14 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
     known = registry.descriptions()
     rows = ((name, *known[name]) for name in methods if name in known)
     about = Table("methods", columns.of("method", "title", "description"), tuple(rows))
-    presets_shown = presets() if any(fits_presets(part) for part in parts) else {}
+    shipped = presets() if any(fits_presets(part) for part in parts) else {}
+    others = f" and {', '.join(shipped)}" if shipped else ""
+    compared = f"Keys of the configuration that differ between the runs{others}.", configuration_table(ran, shipped)
     return [
         Heading(2, "What was run"),
-        *_compared(ran, presets_shown),
+        *(compared if shipped or len(ran) > 1 else ()),
         about,
         *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
-    ]
-
-
-def _compared(ran: dict[str, PlanConfig], presets_shown: dict[str, PlanConfig]) -> list[Block]:
-    """Return a table that compares the runs' configurations with each other and with the shipped ones.
-
-    Args:
-        ran: The runs' configurations, by name.
-        presets_shown: The shipped configurations, by name; empty if they are for another scene.
-    """
-    if not presets_shown and len(ran) < 2:
-        return []
-    others = f" and {', '.join(presets_shown)}" if presets_shown else ""
-    return [
-        f"Keys of the configuration that differ between the runs{others}.",
-        configuration_table(ran, presets_shown),
     ]
 
 

@@ -25,13 +25,10 @@ RESULTS = (
     columns.total("scenarios"), "step_ms", "tcp_distance_mean_mm", "orientation_error_mean_deg", "clearance_min_mm",
     "clearance_mean_mm",
 )  # fmt: skip
-PAIRS = "method", "other", "more", "fewer", "equal", "p"
 PAPER = (
     "method", "success_percent", "paper_success_percent", "step_ms", "paper_step_ms", "tcp_distance_mean_mm",
     "paper_tcp_distance_mm", "clearance_mean_mm", "paper_safe_distance_mm",
 )  # fmt: skip
-REACH = "reach", "targets", "percent", "meaning"
-REACHABILITY = "method", "tracked", "reachable", "not_excluded", "of_reachable_percent", "short", "beyond"
 STEPS = (
     "method", "accepted", "blocked", "blocked_percent", "not_checked", "scenarios_blocked", "tracked_before",
     "tracked_before_percent", "after_recovery", "step_median_rad", "step_max_rad",
@@ -40,8 +37,6 @@ STOPS = (
     "method", "reason", "scenarios", "first_target", "median_target", "last_target",
     *(columns.listed(key, "scenarios") for key in ("colliding_body", "targets")),
 )  # fmt: skip
-MOTION_ENDS = "method", "reason", "scenarios", "median_target", "targets"
-TIMES = "method", "run_s", "compile_s"
 
 
 def results(part: Part) -> Table:
@@ -59,14 +54,13 @@ def pairs(part: Part) -> Table:
     planned = {method: plans.outcomes.planned for method, plans in part.plans.items()}
     best = max(counts, key=lambda method: int(counts[method].sum()))
     rows = []
-    for method in counts.keys() - {best}:
+    for method in (method for method in counts if method != best):
         apart = (counts[method] - counts[best])[planned[method] & planned[best]]
         more, fewer = int((apart > 0).sum()), int((apart < 0).sum())
         p = float(scipy.stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
         equal = len(apart) - more - fewer
         rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
-    rows.sort(key=lambda row: list(counts).index(row["method"]))
-    return Table.of("pairs", PAIRS, rows)
+    return Table.of("pairs", ("method", "other", "more", "fewer", "equal", "p"), rows)
 
 
 def paper(part: Part) -> Table:
@@ -119,12 +113,14 @@ def reachability_table(part: Part) -> Table:
                 "beyond": int((count > reachable).sum()),
             }
         )
-    return Table.of("reachability", REACHABILITY, rows)
+    keys = "method", "tracked", "reachable", "not_excluded", "of_reachable_percent", "short", "beyond"
+    return Table.of("reachability", keys, rows)
 
 
 def reach_table(part: Part) -> Table:
     """Return the table of the number of targets by reach; no rows if `htcp reachability --each` was not run."""
-    return Table.of("reach", REACH, () if part.reach is None else reach_rows(part.reach))
+    rows = () if part.reach is None else reach_rows(part.reach)
+    return Table.of("reach", ("reach", "targets", "percent", "meaning"), rows)
 
 
 def reach_rows(reach: Int[np.ndarray, "S T"]) -> list[dict]:
@@ -227,7 +223,7 @@ def motion_ends(part: Part) -> Table:
             at = float(np.median(ends.executable[here]))
             counts = {"scenarios": int(here.sum()), "median_target": at, "targets": int(lost[here].sum())}
             rows.append({"method": method, "reason": segment_status.words, **counts})
-    return Table.of("motion-ends", MOTION_ENDS, rows)
+    return Table.of("motion-ends", ("method", "reason", "scenarios", "median_target", "targets"), rows)
 
 
 def scenarios(part: Part) -> Table:
@@ -240,27 +236,22 @@ def scenarios(part: Part) -> Table:
     for s, number in enumerate(part.numbers.tolist()):
         given = {name: values[s].item() for name, values in part.parameters.items()}
         for method, plans in part.plans.items():
-            if (end := plans.outcome(s)).targets:
-                count = {"tracked": end.tracked, "targets": end.targets, "executable": end.executable}
-                blocked = part.scene.colliding_bodies(method).get(number)
-                cause = causes[method].get(number, {}).get("cause")
-                reachable = None if part.reachability is None else int(part.reachability[s])
-                row = {"scenario": number, **given, "method": method, **count}
-                what = {
-                    "end": "complete" if end.status is None else end.status.words,
-                    "motion_end": end.segment_status.words if end.executable < end.tracked else None,
-                    "colliding_body": cause or (blocked and blocked.description),
-                    "reachable": reachable,
-                }
-                figures = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
-                rows.append({**times.get(method, {}).get(number, {}), **row, **figures, **what})
+            end, blocked = plans.outcome(s), part.scene.colliding_bodies(method).get(number)
+            cause = causes[method].get(number, {}).get("cause") or (blocked and blocked.description)
+            row = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
+            row |= given | times.get(method, {}).get(number, {}) | end._asdict()
+            row |= {"scenario": number, "method": method, "colliding_body": cause}
+            row["end"] = "complete" if end.status is None else end.status.words
+            row["motion_end"] = end.segment_status.words if end.executable < end.tracked else None
+            row["reachable"] = None if part.reachability is None else int(part.reachability[s])
+            rows += [row] if end.targets else []
     return Table.of("scenarios", keys, rows)
 
 
 def times(part: Part) -> Table:
     """Return the table of planning times and compilation times by method, for the complete run."""
-    seconds = {method: (plans.run_s, plans.compile_s) for method, plans in part.plans.items()}
-    return Table.of("times", TIMES, [{"method": m, "run_s": r, "compile_s": c} for m, (r, c) in seconds.items()])
+    rows = ((method, plans.run_s, plans.compile_s) for method, plans in part.plans.items())
+    return Table("times", columns.of("method", "run_s", "compile_s"), tuple(rows))
 
 
 def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:

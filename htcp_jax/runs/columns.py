@@ -15,7 +15,6 @@ descriptions.
 import json
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -68,7 +67,6 @@ HEADINGS = {  # of quantities, or of single columns
     "row": "row of the task",
     "run_s": "planning",
     "scenarios_blocked": "with a blocked step",
-    "shapes": "about",
     "share": "of reachable",
     "short": "fall short",
     "speed_joint": "at",
@@ -79,7 +77,6 @@ HEADINGS = {  # of quantities, or of single columns
     "tcp_error": "TCP error",
     "title": "name",
     "tracked_before": "tracked before it",
-    "tracked_before_percent": "of all",
     "unit": "",
     "volume_ratio": "volume",
     "was": "before",
@@ -114,6 +111,7 @@ FORMATS = {  # by unit, or of single columns; columns without a format contain t
     **dict.fromkeys(("scenario", "target", "waypoint", "first_target", "last_target", "rank", "own", "fitted"), "d"),
     **dict.fromkeys(("begin_mm", "end_mm", "volume_ratio", "percent", "share"), ".2f"),
     **dict.fromkeys(("cycle_mean_s", "speed_ratio_max"), ".3f"),
+    **dict.fromkeys(("excess_mm", "outside_mm"), ".1f"),
     **dict.fromkeys(("off", "most"), ".4g"),
     "difference": "+,d",
     "median_target": ".0f",
@@ -125,98 +123,88 @@ BOTH = {
     "scenario": "number of the scenario in the full grid",
     "tracked": "True if the target is tracked; in scenarios/: number of tracked targets",
 }
-TARGETS = MappingProxyType(
-    BOTH
-    | {
-        "target": "number of the target; 0 is the start's TCP",
-        "status": "name of a htcp_jax.status.Status",
-        "clearance_m": "D, minimum clearance of all bodies; null if not tracked, as all values that depend on x",
-        "residual_m": "distance of the TCP from the target",
-        "orientation_error_rad": "largest angle from the task's orientations; null if the task has none",
-        "iterations": "number of step QPs for the target; 0 if a backward plan needed none",
-        "joint_step_rad": "|x_t - x_{t-1}|; for target 0, from the start",
-        "path_clear": "True if the straight joint path from the previous row is clear; null if unknown",
-        "segment_status": "htcp_jax.status.SegmentStatus of the segment from the previous row; null if not checked",
-        "segment_clearance_m": "guaranteed clearance along this segment; null if not proven",
-        "via_points": "configurations within this segment, concatenated; null for a straight joint path",
-        "via_shares": "share of the segment at each via point; null for a straight joint path",
-        "recovery": "0: none; k: recovery strategy k of the method; the number after the last: planned backwards",
-        "manipulability_m_rad": "smallest singular value of the task's Jacobian, see motion.manipulability",
-        "dead_end_searches": "number of backward searches after a dead end at the target; null without one",
-        "dead_end_configurations": "number of configurations sampled, extended or moved after the dead end",
-        "dead_end_found": "number of clear configurations found at the target",
-        "dead_end_connected": "number of these that a proven motion connects",
-        "dead_end_wider": "number of forward searches from an earlier target, with a wider beam",
-        "dead_end_excluded": "proven reason why no configuration is clear there: out of reach, tool, wrist, arm",
-        "tcp": "position of the TCP in the world",
-        "target_xyz": "position of the target in the world; never null",
-    }
-)
-SCENARIOS = MappingProxyType(
-    BOTH
-    | {
-        "group": "group in the sweep file; null without groups",
-        "targets": "number of targets",
-        "executable": "number of targets to which a proven motion leads from the start",
-        "complete": "True if all targets are tracked",
-        "failed_target": "first target that is not tracked; null if complete",
-        "failure": "status of the failed target; null if complete",
-        "reason": "description of this status",
-        "after_recovery": "number of targets tracked after a recovery",
-        "blocked_paths": "number of tracked targets whose straight joint path from the previous row collides",
-        "dwells": "number of targets of the executable motion at which the arm changes its configuration",
-        "motion_cost_rad2": "cost of the executable motion, equation (3)",
-        "path_step_max_rad": "largest joint step of the executable motion on the path",
-        "curvature_max_rad_m2": "largest curvature of the executable joint path",
-        "segment_clearance_min_m": "guaranteed clearance of the executable motion",
-        "clearance_min_m": "minimum clearance at the tracked targets",
-        "residual_max_m": "largest distance of the TCP from a tracked target",
-        "joint_motion_rad": "sum of the joint steps between tracked targets",
-        "rotation_x_rad": "rotation of the workpiece about world x, applied first",
-        "rotation_y_rad": "rotation of the workpiece about world y",
-        "rotation_z_rad": "rotation of the workpiece about world z",
-        "shift": "translation of the workpiece along the world's axes",
-        "tool_extension_m": "extension of the tool along its own z axis",
-        "margin_m": "required clearance at a target",
-        "path": "tool path: a seam of the duct, or the name of its file",
-        "joint_step_max_rad": "largest travel of a joint (prismatic: m) between two targets of the executable path",
-        "joint_step_target": "target at the end of the segment with this travel",
-        "joint_step_joint": "joint with this travel",
-        "start": "first configuration of the plan",
-        "colliding_body": "body that collides, if no start was possible; null if none does",
-        "colliding_with": "obstacle with which this body collides",
-        "cause": "reason why no start was possible",
-    }
-)
-TIMING = MappingProxyType(
-    {
-        "scenario": BOTH["scenario"],
-        "feed_m_s": "required feed",
-        "cycle_time_s": "time from home over the path and back; null, as all below, if the motion ends early",
-        "path_time_s": "part of the cycle time on the path, including dwells",
-        "feed_held_share": "share of the path's length on which the feed is kept within 1 %",
-        "feed_reached_m_s": "minimum feed between the path's run-up and its run-down; 0 if the arm stops there",
-        "feed_reason": "cause of this minimum: stop, or the limit and its joint; null if the feed is kept",
-        "feed_target": "target to which the motion leads at this minimum; null if the feed is kept",
-        "velocity_share": "largest used share of the velocity limits on the path",
-        "velocity_joint": "joint with that share",
-        "acceleration_share": "largest used share of the acceleration limits on the path",
-        "acceleration_joint": "joint with that share",
-        "jerk_share": "largest used share of the jerk limits on the path",
-        "jerk_joint": "joint with that share",
-        "torque_share": "largest used share of the effort limits, on the complete motion; null if unknown",
-        "torque_joint": "joint with that share",
-    }
-)
-MOUNTINGS = MappingProxyType(
-    {
-        "round": "round of the search that evaluated the mounting",
-        "done": "mean over all paths of the share of targets to which a proven motion leads",
-        "complete": "True if all targets are tracked",
-        "lost": "reason why the mounting fails; null if it is complete",
-    }
-)
-TABLES = MappingProxyType({"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS})
+TARGETS = BOTH | {
+    "target": "number of the target; 0 is the start's TCP",
+    "status": "name of a htcp_jax.status.Status",
+    "clearance_m": "D, minimum clearance of all bodies; null if not tracked, as all values that depend on x",
+    "residual_m": "distance of the TCP from the target",
+    "orientation_error_rad": "largest angle from the task's orientations; null if the task has none",
+    "iterations": "number of step QPs for the target; 0 if a backward plan needed none",
+    "joint_step_rad": "|x_t - x_{t-1}|; for target 0, from the start",
+    "path_clear": "True if the straight joint path from the previous row is clear; null if unknown",
+    "segment_status": "htcp_jax.status.SegmentStatus of the segment from the previous row; null if not checked",
+    "segment_clearance_m": "guaranteed clearance along this segment; null if not proven",
+    "via_points": "configurations within this segment, concatenated; null for a straight joint path",
+    "via_shares": "share of the segment at each via point; null for a straight joint path",
+    "recovery": "0: none; k: recovery strategy k of the method; the number after the last: planned backwards",
+    "manipulability_m_rad": "smallest singular value of the task's Jacobian, see motion.manipulability",
+    "dead_end_searches": "number of backward searches after a dead end at the target; null without one",
+    "dead_end_configurations": "number of configurations sampled, extended or moved after the dead end",
+    "dead_end_found": "number of clear configurations found at the target",
+    "dead_end_connected": "number of these that a proven motion connects",
+    "dead_end_wider": "number of forward searches from an earlier target, with a wider beam",
+    "dead_end_excluded": "proven reason why no configuration is clear there: out of reach, tool, wrist, arm",
+    "tcp": "position of the TCP in the world",
+    "target_xyz": "position of the target in the world; never null",
+}
+SCENARIOS = BOTH | {
+    "group": "group in the sweep file; null without groups",
+    "targets": "number of targets",
+    "executable": "number of targets to which a proven motion leads from the start",
+    "complete": "True if all targets are tracked",
+    "failed_target": "first target that is not tracked; null if complete",
+    "failure": "status of the failed target; null if complete",
+    "reason": "description of this status",
+    "after_recovery": "number of targets tracked after a recovery",
+    "blocked_paths": "number of tracked targets whose straight joint path from the previous row collides",
+    "dwells": "number of targets of the executable motion at which the arm changes its configuration",
+    "motion_cost_rad2": "cost of the executable motion, equation (3)",
+    "path_step_max_rad": "largest joint step of the executable motion on the path",
+    "curvature_max_rad_m2": "largest curvature of the executable joint path",
+    "segment_clearance_min_m": "guaranteed clearance of the executable motion",
+    "clearance_min_m": "minimum clearance at the tracked targets",
+    "residual_max_m": "largest distance of the TCP from a tracked target",
+    "joint_motion_rad": "sum of the joint steps between tracked targets",
+    "rotation_x_rad": "rotation of the workpiece about world x, applied first",
+    "rotation_y_rad": "rotation of the workpiece about world y",
+    "rotation_z_rad": "rotation of the workpiece about world z",
+    "shift": "translation of the workpiece along the world's axes",
+    "tool_extension_m": "extension of the tool along its own z axis",
+    "margin_m": "required clearance at a target",
+    "path": "tool path: a seam of the duct, or the name of its file",
+    "joint_step_max_rad": "largest travel of a joint (prismatic: m) between two targets of the executable path",
+    "joint_step_target": "target at the end of the segment with this travel",
+    "joint_step_joint": "joint with this travel",
+    "start": "first configuration of the plan",
+    "colliding_body": "body that collides, if no start was possible; null if none does",
+    "colliding_with": "obstacle with which this body collides",
+    "cause": "reason why no start was possible",
+}
+TIMING = {
+    "scenario": BOTH["scenario"],
+    "feed_m_s": "required feed",
+    "cycle_time_s": "time from home over the path and back; null, as all below, if the motion ends early",
+    "path_time_s": "part of the cycle time on the path, including dwells",
+    "feed_held_share": "share of the path's length on which the feed is kept within 1 %",
+    "feed_reached_m_s": "minimum feed between the path's run-up and its run-down; 0 if the arm stops there",
+    "feed_reason": "cause of this minimum: stop, or the limit and its joint; null if the feed is kept",
+    "feed_target": "target to which the motion leads at this minimum; null if the feed is kept",
+    "velocity_share": "largest used share of the velocity limits on the path",
+    "velocity_joint": "joint with that share",
+    "acceleration_share": "largest used share of the acceleration limits on the path",
+    "acceleration_joint": "joint with that share",
+    "jerk_share": "largest used share of the jerk limits on the path",
+    "jerk_joint": "joint with that share",
+    "torque_share": "largest used share of the effort limits, on the complete motion; null if unknown",
+    "torque_joint": "joint with that share",
+}
+MOUNTINGS = {
+    "round": "round of the search that evaluated the mounting",
+    "done": "mean over all paths of the share of targets to which a proven motion leads",
+    "complete": "True if all targets are tracked",
+    "lost": "reason why the mounting fails; null if it is complete",
+}
+TABLES = {"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS}
 
 
 class Column(NamedTuple):

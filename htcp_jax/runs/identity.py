@@ -98,6 +98,17 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
         named.add(value)
         return f"{Path(value).name}, SHA-256 {files[value]}"
 
+    same = plain({**_identifying(config), "grid": json.dumps(plain(grid)), "dtype": dtype})
+    parts = {}
+    for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):
+        parts.setdefault(Path(file).name, []).append(files[file])
+    if parts:
+        same["parts"] = {name: f"SHA-256 {', '.join(each)}" for name, each in parts.items()}
+    return same
+
+
+def _identifying(config: dict) -> dict:
+    """Return the keys of a configuration that identify a run, as all versions record them."""
     config = {key: value for key, value in config.items() if key not in NO_IDENTITY}
     sections = {key: own for key, own in config.items() if isinstance(own, dict)}  # a damaged file may have others
     if config.get("task") == [] and "settings" in sections:  # without a task, the tolerance of angles has no effect
@@ -109,13 +120,7 @@ def identity(config: dict, grid: list | tuple, dtype: str, files: dict[str, str]
     for section, key, absent in NEW_KEYS:
         if section in sections and (sections[section].get(key) or None) in (None, absent):
             config[section] = {name: value for name, value in config[section].items() if name != key}
-    same = plain({**config, "grid": json.dumps(plain(grid)), "dtype": dtype})
-    parts = {}
-    for file in sorted(set(files) - named, key=lambda file: (Path(file).name, files[file])):
-        parts.setdefault(Path(file).name, []).append(files[file])
-    if parts:
-        same["parts"] = {name: f"SHA-256 {', '.join(each)}" for name, each in parts.items()}
-    return same
+    return config
 
 
 def config_hash(same: dict) -> str:

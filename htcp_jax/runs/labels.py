@@ -9,25 +9,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from htcp_jax.motion import motion
-from htcp_jax.runs import columns
-from htcp_jax.runs.timing_file import COLUMNS
+from htcp_jax.runs import columns, parameters
 
-RESULTS = (
-    "method", "scenario", "group", "targets", "tracked", "complete", "failed_target", "failure", "reason",
-    "after_recovery", "blocked_paths", "clearance_min_m", "residual_max_m", "joint_motion_rad", "executable",
-    *motion.MotionFigures._fields, *COLUMNS, "joint_step_max_rad", "joint_step_target", "joint_step_joint",
-    "colliding_body", "colliding_with", "cause",
-)  # fmt: skip
+RESULTS = {*columns.SCENARIOS, *columns.TIMING} - {*parameters.ROTATIONS, parameters.TOOL, "margin_m", "path"}
 
 
 def labels_of(table: pa.Table) -> dict[int, str]:
     """Return the label of every scenario in a scenario table, by number; "" if neither group nor parameter varies."""
     numbers, first = np.unique(table["scenario"].to_numpy(), return_index=True)
     table = table.take(pa.array(first))
-    parameters = varying({name: column_of(table[name]) for name in parameter_names(table)})
+    given = varying({name: column_of(table[name]) for name in parameter_names(table)})
     groups = [f"{group}: " if group else "" for group in table["group"].to_pylist()]
-    reported = [", ".join(part(name, values[k]) for name, values in parameters.items()) for k in range(len(numbers))]
+    reported = [", ".join(part(name, values[k]) for name, values in given.items()) for k in range(len(numbers))]
     return {int(number): group + text for number, group, text in zip(numbers, groups, reported, strict=True)}
 
 

@@ -214,8 +214,8 @@ def plans_of(
         raise IndexError(f"{len(targets):,} rows are too few for {count:,} scenarios with {t.max() + 1:,} targets")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
-    for name in _READ:
-        getattr(plans, name)[s, t] = _numpy(targets[_COLUMN.get(name, name)], plan_arrays.EMPTY[name])
+    for name, column in _READ.items():
+        getattr(plans, name)[s, t] = _numpy(targets[column], plan_arrays.EMPTY[name])
     plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
         array[s, t] = np.stack([_numpy(targets[name], np.nan) for name in names], axis=1)
@@ -227,13 +227,10 @@ def plans_of(
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=DeadEnds.of(ends))
 
 
-_READ = (
-    *("clearance", "residual", "orientation_error", "status", "iterations", "joint_step", "recovery", "path_clear"),
-    "segment_clearance",
-)
-_COLUMN = {
-    "clearance": "clearance_m", "residual": "residual_m", "joint_step": "joint_step_rad",
-    "orientation_error": "orientation_error_rad", "segment_clearance": "segment_clearance_m",
+_READ = {  # arrays of `Plans` that are read as they are, with their columns
+    "clearance": "clearance_m", "residual": "residual_m", "orientation_error": "orientation_error_rad",
+    "status": "status", "iterations": "iterations", "joint_step": "joint_step_rad", "recovery": "recovery",
+    "path_clear": "path_clear", "segment_clearance": "segment_clearance_m",
 }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robots import chain_of_file, compile_spec, composed, delete_all, fix_joints, joint_name
+from htcp_jax.io.robots import chain_of_file, compile_spec, composed, delete_all, fix_joints, joint_name, massive_bodies
 from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -54,8 +54,8 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     delete_all(spec, spec.tuples, spec.excludes, spec.geoms, spec.meshes)
     model = compile_spec(spec, path)
     fix_joints(model, path, dict(arm.locked))
-    massive = {int(model.body_weldid[body.id]) for body in spec.bodies if body.explicitinertial and body.mass > 0}
-    if not set(model.body_weldid[model.jnt_bodyid].tolist()) <= massive:
+    massive = model.body_weldid[massive_bodies(spec)]
+    if not np.isin(model.body_weldid[model.jnt_bodyid], massive).all():
         return None
     model.opt.gravity = tool.pose(tool.ZERO, turned)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
     model.opt.disableflags |= int(_OFF)

@@ -90,7 +90,7 @@ def slack_of_rows(
 def _slacks(task: Task, robot: Robot, a, b, goals):
     requested, half = row_proof.between(task, goals), jnp.asarray(0.5 / PIECES)
     places = (jnp.arange(PIECES, dtype=float) + 0.5) / PIECES
-    found = jax.vmap(lambda place: row_proof.rows_left(robot, task.parts, requested, a + place * (b - a), b - a, half))(
-        places
-    )
+    found = jax.vmap(
+        lambda place: row_proof.row_slacks(robot, task.parts, requested, a + place * (b - a), b - a, half)
+    )(places)
     return jnp.min(found.left, axis=0), jnp.min(found.apart, axis=0)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache, cached_property
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -148,11 +148,13 @@ class _Timer:
     def __init__(self, found: plan_sets.RunPlans, requested: _TimingSettings):
         self.found, self.requested = found, requested
         self.plans: Callable[[str], Plans] = cache(found.plans)
-        self._arms: dict[str, Robot] = {}
-        self._stated: dict[str, JointLimits | None] = {}
-        self._models: dict[str, mujoco.MjModel | None] = {}
-        self._inverse: dict[str, Callable] = {}
-        self._parts: dict[str, Workpiece] = {}
+        self._known: dict[tuple[str, str], Any] = {}
+
+    def _once(self, what: str, key: object, make: Callable[[], Any]) -> Any:
+        """Return the result of `make`, which is called once for equal keys."""
+        if (known := (what, repr(key))) not in self._known:
+            self._known[known] = make()
+        return self._known[known]
 
     def __reduce__(self):
         """Pickle the folder's name only; a worker process reads the folder itself."""
@@ -218,44 +220,33 @@ class _Timer:
             if one is not None and one.timed is not None:
                 arms.setdefault(repr(build.robot_key(self.jobs[number])), {})[number] = one
         loads: dict[int, PeakTorque] = {}
-        for arm, own in arms.items():
-            motions, effort = [one.timed for one in own.values()], next(iter(own.values())).effort
-            loads |= zip(own, peak_torques(self._torques(arm, next(iter(own))), motions, effort), strict=True)
+        for own in arms.values():
+            number, first = next(iter(own.items()))
+            motions, torque = [one.timed for one in own.values()], self._torques(self.jobs[number])
+            loads |= zip(own, peak_torques(torque, motions, first.effort), strict=True)
         return loads
 
-    def _torques(self, arm: str, number: int) -> Callable:
-        if arm not in self._inverse:
-            self._inverse[arm] = torques(self._model(self.jobs[number]), dict(self.jobs[number].robot.locked))
-        return self._inverse[arm]
+    def _torques(self, job: PlanConfig) -> Callable:
+        key, locked = build.robot_key(job), dict(job.robot.locked)
+        return self._once("torques", key, lambda: torques(self._model(job), locked))
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
         """Return the model of a job's arm with its inertias; None if a link has no inertia."""
-        key = repr(build.robot_key(job))
-        if key not in self._models:
-            self._models[key] = model_of(job.robot, job.tree)
-        return self._models[key]
+        return self._once("model", build.robot_key(job), lambda: model_of(job.robot, job.tree))
 
     def arm(self, job: PlanConfig) -> Robot:
         """Return a job's arm, without the tool's extension."""
-        key = repr(build.robot_key(job))
-        if key not in self._arms:
-            self._arms[key] = build.robot_of(job.robot, job.cell, job.tree)
-        return self._arms[key]
+        return self._once("arm", build.robot_key(job), lambda: build.robot_of(job.robot, job.cell, job.tree))
 
     def _limits_in_file(self, job: PlanConfig) -> JointLimits | None:
         """Return the limits in the file that a job names; None if it names no file."""
         if job.robot.limits_file is None:
             return None
-        key = repr(build.robot_key(job))
-        if key not in self._stated:
-            self._stated[key] = limits_of_job(job, self.arm(job))
-        return self._stated[key]
+        return self._once("limits", build.robot_key(job), lambda: limits_of_job(job, self.arm(job)))
 
     def _part(self, job: PlanConfig, arm: Robot) -> Workpiece:
-        key = repr((build.robot_key(job), build.workpiece_key(job)))
-        if key not in self._parts:
-            self._parts[key] = build.workpiece_of(build.workpiece_key(job), arm)
-        return self._parts[key]
+        key = build.workpiece_key(job)
+        return self._once("part", (build.robot_key(job), key), lambda: build.workpiece_of(key, arm))
 
 
 def _time_method(

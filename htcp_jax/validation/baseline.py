@@ -64,6 +64,11 @@ class Times(strict_model.FileSection):
     held: WholeNumber  # number of scenarios in which the feed is held
     cycle_time_s: dict[WholeNumber, Annotated[float, Field(gt=0)]]  # by scenario with a motion to the last target
 
+    @property
+    def cycle_mean_s(self) -> float | None:
+        """Mean cycle time; None without any."""
+        return sum(self.cycle_time_s.values()) / len(self.cycle_time_s) if self.cycle_time_s else None
+
 
 class Scores(strict_model.FileSection):
     """A method's results in a run or a baseline."""
@@ -74,9 +79,8 @@ class Scores(strict_model.FileSection):
     complete: WholeNumber  # number of complete scenarios
     tcp_error_max_mm: float | None  # this and the next two are over all tracked targets; None: no target
     clearance_min_mm: float | None
-    clearance_less_cover_min_mm: float | None = Field(
-        None, exclude=True
-    )  # less a mesh's covering radius; not in the file
+    # Minimum clearance less a mesh's covering radius; not in the file.
+    clearance_less_cover_min_mm: float | None = Field(None, exclude=True)
     times: Times | None = None  # None if the run is not timed
     scenarios: dict[WholeNumber, str]  # an `End` as text, by scenario
 

@@ -98,7 +98,7 @@ class CellGeoms:
         self.data = mujoco.MjData(self.model)
         self.bodies = [self._geom(BODY, k) for k in range(len(arm.radius))]
         self.hulls = {self.bodies[k]: self._geom(HULL, k) for k, hull in enumerate(arm.hulls) if hull is not None}
-        fixtures = self._names_of_fixtures(names_of_clouds)
+        fixtures = self._names_of_fixtures(spec, names_of_clouds)
         self._check_names(cell, [*fixtures.values(), *map(_stem, cell.clouds)])
         self.excluded = {g: self._rules.excluded(name) for g, name in fixtures.items()}
         self.carried = self._place_fixtures(cell, fixtures)
@@ -118,7 +118,7 @@ class CellGeoms:
         """Return the cell's file without geoms that have no contacts, and with hulls for solids and moving meshes."""
         spec, meshes = read_meshes(path)
         for k, (geom, triangles, is_solid) in enumerate(meshes):
-            moves = self._rules.moves(_name(geom.name, geom.parent))
+            moves = self._rules.moves(_name(geom))
             corners = np.unique(triangles.reshape(-1, 3), axis=0)
             if moves or (is_solid and thickness_m(corners) >= THIN_M):
                 geom.type, geom.meshname = _MESH, MESH.format(k)
@@ -156,11 +156,10 @@ class CellGeoms:
 
     # After MuJoCo has compiled the model
 
-    def _names_of_fixtures(self, names_of_clouds: Mapping[str, str]) -> dict[int, str]:
+    def _names_of_fixtures(self, spec: mujoco.MjSpec, names_of_clouds: Mapping[str, str]) -> dict[int, str]:
         """Return the names of all geoms that are not the arm's, by geom."""
-        own = {*self.bodies, *self.hulls.values()}
-        names = {g: _name_in(self.model, g) for g in range(self.model.ngeom) if g not in own}
-        return {g: names_of_clouds.get(name, name) for g, name in names.items()}
+        own, names = {*self.bodies, *self.hulls.values()}, {int(geom.id): _name(geom) for geom in spec.geoms}
+        return {g: names_of_clouds.get(name, name) for g, name in sorted(names.items()) if g not in own}
 
     def _check_names(self, cell: config.CellConfig, known: Sequence[str]) -> None:
         if unnamed := [name for name in self._rules.of if name not in known]:
@@ -241,15 +240,9 @@ def _compiled(spec: mujoco.MjSpec, path: str | None) -> mujoco.MjModel:
         raise InputError(f"{path}: not a cell that MuJoCo can read: {' '.join(str(error).split())}") from None
 
 
-def _name(geom: str, body: mujoco.MjsBody) -> str:
-    """Return the name of a geom in a parsed file, or of its body if it has none."""
-    return geom or (body.name if body.name != config.WORLD else "")
-
-
-def _name_in(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom in a compiled model, or of its body if it has none."""
-    body = int(model.geom_bodyid[geom])
-    return model.geom(geom).name or (model.body(body).name if body else "")
+def _name(geom: mujoco.MjsGeom) -> str:
+    """Return the name of a geom, or of its body if it has none."""
+    return geom.name or (geom.parent.name if geom.parent.name != config.WORLD else "")
 
 
 def _stem(cloud: config.CloudConfig) -> str:

@@ -19,10 +19,8 @@ from scipy.spatial import ConvexHull, QhullError
 from htcp_jax.errors import InputError
 from htcp_jax.validation.mesh_clearance import axis_distances
 
-PIECE, RADIUS = (
-    "piece of ",
-    "radius of ",
-)  # prefixes of names in an arm's file: <text> with a piece's vertices, <numeric> with its radius [m]
+# Prefixes of names in an arm's file: <text> with a piece's vertices, <numeric> with its radius [m].
+PIECE, RADIUS = "piece of ", "radius of "
 SLACK_M = 1e-6  # tolerance for a piece's vertex outside its capsule
 FLAT_M = 1e-6  # thickness added to a piece without volume, for Qhull
 ROUNDING_M = 1e-9  # tolerance when distant parts of a wall are skipped

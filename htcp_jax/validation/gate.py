@@ -16,7 +16,7 @@ Each of these conditions is a `GateCheck`. Improvements pass and are listed, so 
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
 from htcp_jax.runs import Run, identity
@@ -304,36 +304,22 @@ def _gate_row(
     was, now = baseline.methods[method], found.methods.get(method)
     return GateRow(
         method=method,
-        was_tracked=was.tracked,
-        tracked=now and now.tracked,
         targets=was.targets,
         worse=now and sum(one.worse for one in changed),
         better=now and sum(one.better for one in changed),
         was_share=_reachable_share(was, baseline.reachability),
         share=_reachable_share(now, found.reachability),
-        was_tcp_error_max_mm=was.tcp_error_max_mm,
-        tcp_error_max_mm=now and now.tcp_error_max_mm,
-        was_clearance_min_mm=was.clearance_min_mm,
-        clearance_min_mm=now and now.clearance_min_mm,
+        **_before_and_now(was, now, "tracked", "tcp_error_max_mm", "clearance_min_mm"),
         clearance_less_cover_min_mm=now and now.clearance_less_cover_min_mm,
-        **_time_columns(was.times, now and now.times),
+        **_before_and_now(was.times, was.times and now and now.times, "held", "cycle_mean_s"),
         verdict=verdict,
     )
 
 
-def _time_columns(was: Times | None, now: Times | None) -> dict[str, int | float | None]:
-    """Return a row's fields on times; their values are None if the baseline has no times."""
-    now = was and now
-    return {
-        "was_held": was and was.held,
-        "held": now and now.held,
-        "was_cycle_mean_s": was and _mean(was),
-        "cycle_mean_s": now and _mean(now),
-    }
-
-
-def _mean(times: Times) -> float | None:
-    return sum(times.cycle_time_s.values()) / len(times.cycle_time_s) if times.cycle_time_s else None
+def _before_and_now(was: Scores | Times | None, now: Scores | Times | None, *names: str) -> dict[str, Any]:
+    """Return values of the baseline, with the prefix `was_`, and of the run, by name; None if unknown."""
+    before = {f"was_{name}": was and getattr(was, name) for name in names}
+    return before | {name: now and getattr(now, name) for name in names}
 
 
 def _reachability_row(baseline: Baseline, found: RunSummary, verdict: str) -> GateRow:

@@ -29,9 +29,7 @@ class MethodCheck(NamedTuple):
 
     checked: int  # number of tracked targets
     refuted: int
-    tcp_error_max_mm: (
-        float | None
-    )  # largest distance of the TCP (or of the point that follows the path) from its target
+    tcp_error_max_mm: float | None  # largest distance from its target of the point that follows the path, or the TCP
     clearance_min_mm: float | None
     clearance_min_at: TargetPlace | None
     clearance_less_cover_min_mm: float | None  # minimum clearance minus the mesh's covering radius; None: no mesh

@@ -20,7 +20,7 @@ from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
 from htcp_jax.validation.task_check import hold_between, holds_tcp, part_between
 from htcp_jax.validation.track import from_line, required_m, scene_of
-from htcp_jax.validation.validate import parts_of
+from htcp_jax.validation.validate import LoadedParts
 
 AT_ONCE = 256  # number of configurations measured at once, with all points near them in memory
 EVERY = 16  # one in EVERY configurations is measured; bounds on the displacement decide most others
@@ -51,9 +51,7 @@ class _PathConfigurations(NamedTuple):
     tcp: Float[np.ndarray, "m 3"]
     before: Int[np.ndarray, "m"]
     to: Int[np.ndarray, "m"]
-    span: Float[
-        np.ndarray, "m 2"
-    ]  # begin and end of the curve's piece at each, as shares of the line between both targets
+    span: Float[np.ndarray, "m 2"]  # begin and end of each one's piece of the curve, as shares of the targets' line
 
 
 def check_timed(
@@ -78,7 +76,7 @@ def check_timed(
     """
     results = read_results(Path(folder))
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
-    arm, wall, surroundings = parts_of(results, track)
+    arm, wall, surroundings = LoadedParts(results).of(track)
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
     contact_m = track.config.workpiece.tip_contact_m
@@ -89,9 +87,7 @@ def check_timed(
     held = _path_configurations(timed, tcp)
     if holds_tcp(task):
         stays = held.span[:, 0] == held.span[:, 1]
-        shares = np.where(
-            stays, held.span.T, np.array([[0.0], [1.0]])
-        )  # the complete line if the arm does not stay at a point
+        shares = np.where(stays, held.span.T, [[0.0], [1.0]])  # the complete line unless the arm stays at a point
         line = targets[held.to] - targets[held.before]
         begin, end = (targets[held.before] + share[:, None] * line for share in shares)
         off[held.rows] = from_line(held.tcp, begin, end)
@@ -148,11 +144,8 @@ def _measure(
     for first in range(0, max(1, len(rows) - 1), AT_ONCE):
         own = rows[first : first + AT_ONCE + 1]
         known = scene.at(x[own], required)
-        clearance[own], tcp[own], through[own] = (
-            known.clearance,
-            known.arm_poses.tcp,
-            _through(scene, known.arm_poses, contact_m),
-        )
+        clearance[own], tcp[own] = known.clearance, known.arm_poses.tcp
+        through[own] = _through(scene, known.arm_poses, contact_m)
         between = np.setdiff1d(np.arange(own[0], own[-1]), own)
         below = max(0.0, float(clearance.min()))
         for some in np.array_split(between, -(-len(between) // (8 * AT_ONCE)) or 1):

@@ -1,6 +1,6 @@
 """Check of a track, one method's results for one scenario: at its targets, and along the joint paths between them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,9 +56,7 @@ class TrackCheck(NamedTuple):
     refuted: list[Refutation]
     leads_to: Int[np.ndarray, "m"]  # target at the end of the segment
     touches: Bool[np.ndarray, "m"] | None
-    clearance_between: (
-        Float[np.ndarray, "m"] | None
-    )  # minimum on each joint path [m]; inf if it is larger than at all targets
+    clearance_between: Float[np.ndarray, "m"] | None  # minimum [m]; inf if it is larger than at all targets
     deviation: Float[np.ndarray, "m"] | None
     speed: Float[np.ndarray, "m N"]  # joint speed / limit at a feed rate of 1 m/s; 0 if targets coincide
     in_place: Float[np.ndarray, "m"]  # largest joint change if targets coincide [rad or m]
@@ -117,15 +115,15 @@ def check(
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to the first target begins at home
     between_rows = _check_paths(scene, at, paths, between, on_path, progress)
-    refuted = _refuted(
-        arm, track, t, tolerance, ROUNDING_M if bound and not hulls else RECORD_M, {**found, "through": through}
-    )
-    refuted += _refuted_segments(track, paths, between_rows)
-    refuted += _refuted_joint_steps(arm, track, paths, on_path)
-    on = t[t >= on_path]
+    on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
-    refuted += _refuted_rows(track, rows_hold, on)
-    refuted += _refuted_between(results, arm, track, scene, paths, between, on_path)
+    reasons = (
+        *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
+        *_on_segments(track, paths, between_rows),
+        *_on_joint_steps(arm, track, paths, on_path),
+        *_on_rows(rows_hold, on),
+        *_on_rows_between(results, arm, track, scene, paths, between, on_path),
+    )
     return TrackCheck(
         method=track.method,
         scenario=track.scenario,
@@ -134,7 +132,7 @@ def check(
         target=t,
         **found,
         less_cover=at.less_cover(cover_m)[1:] if mesh else None,
-        refuted=refuted,
+        refuted=[Refutation(track.method, track.scenario, *each) for each in reasons],
         leads_to=paths.target,
         **between_rows,
         speed=speed,
@@ -192,16 +190,17 @@ def scene_of(
     return CheckedScene(own, wall, rotate, translate, part.interior_depth_m, *others), targets, on_path
 
 
-def _refuted(
+def _at_targets(
     arm: MujocoArm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
-) -> list[Refutation]:
+) -> list[tuple[int, str]]:
+    """Return the refuted targets, each with the reason; so do the functions below."""
     reasons = {int(k): ["no saved configuration"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _failure_reasons(
             arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own
         )
-    return [Refutation(track.method, track.scenario, k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
+    return [(k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
 
 
 def _check_task_rows(
@@ -216,23 +215,20 @@ def _check_task_rows(
     return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
 
 
-def _refuted_rows(track: Track, rows: list[RowCheck], t: np.ndarray) -> list[Refutation]:
-    """Return a refutation for each target in t at which a row of the task is violated."""
-    found = []
+def _on_rows(rows: list[RowCheck], t: np.ndarray) -> Iterator[tuple[int, str]]:
+    """Yield the targets in t at which a row of the task is violated."""
     for k, target in enumerate(t.tolist()):
-        reasons = [reason for number, one in enumerate(rows, 1) if (reason := one.reason(number, k)) is not None]
-        if reasons:
-            found.append(Refutation(track.method, track.scenario, target, "; ".join(reasons)))
-    return found
+        if reasons := [reason for n, one in enumerate(rows, 1) if (reason := one.reason(n, k)) is not None]:
+            yield target, "; ".join(reasons)
 
 
-def _refuted_between(
+def _on_rows_between(
     results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
-) -> list[Refutation]:
-    """Return a refutation for each proven segment along the path on which a row of the task is violated."""
+) -> Iterator[tuple[int, str]]:
+    """Yield the targets of proven segments along the path on which a row of the task is violated."""
     task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
     if not task or between < 2 or not len(own):
-        return []
+        return
     share = np.arange(1, between) / between
     path = np.repeat(own, len(share))
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
@@ -241,12 +237,9 @@ def _refuted_between(
     places = [part_between(task, scene.rotate, scene.translate, part, row, paths.span[own, k]) for k in (0, 1)]
     places = [place._replace(point=place.point[np.searchsorted(own, path)]) for place in places]
     good = hold_between(task, arm, x, *places, track.config.settings)
-    found = []
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
-        reason = f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
-        found.append(Refutation(track.method, track.scenario, target, reason))
-    return found
+        yield target, f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
 
 
 def _absolute_difference(difference: np.ndarray) -> np.ndarray:
@@ -281,9 +274,7 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     for k in np.flatnonzero(t == np.concatenate([[-1], t[:-1]])[: len(t)] + 1).tolist():
         x = np.concatenate([rows[k][None], track.via_points[t[k]], rows[k + 1][None]])
         count, to, before = len(x) - 1, targets[t[k]], targets[max(t[k] - 1, 0)]
-        share = np.concatenate(
-            [[0.0], track.via_shares[t[k]], [1.0]]
-        )  # equal shares: the arm changes its configuration
+        share = np.array([0.0, *track.via_shares[t[k]], 1.0])  # equal shares: the arm changes its configuration
         line = before + share[:, None] * (to - before)
         line[-1] = to
         span = np.stack([share[:-1], share[1:]], axis=1)
@@ -294,8 +285,8 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[Refutation]:
-    """Return a refutation for each segment that is saved as a proven motion, but collides or leaves the path."""
+def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[tuple[int, str]]:
+    """Return the targets of segments that are saved as proven motions, but collide or leave the path."""
     if found["touches"] is None:
         return []
     proven, reasons = track.proven[paths.target], {}
@@ -306,23 +297,21 @@ def _refuted_segments(track: Track, paths: JointPaths, found: dict[str, Any]) ->
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but leaves its path by {off}")
-    return [Refutation(track.method, track.scenario, target, reasons[target]) for target in sorted(reasons)]
+    return sorted(reasons.items())
 
 
-def _refuted_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: int) -> list[Refutation]:
-    """Return a refutation for each segment along the path on which a joint travels farther than the job allows."""
+def _on_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: int) -> Iterator[tuple[int, str]]:
+    """Yield the targets of segments along the path on which a joint travels farther than the job allows."""
     if (most := track.config.settings.max_joint_step_rad) is None:
-        return []
+        return
     travel = np.zeros(track.x.shape)
     np.add.at(travel, paths.target, np.abs(paths.b - paths.a))
     excess = travel - np.asarray(most)
-    found = []
     for target in np.flatnonzero(~(excess <= ROUNDING_M).all(axis=1)).tolist():
         if target > on_path:
             joint = int(excess[target].argmax())
-            reason = f"{arm.joints[joint]} travels {travel[target, joint]:.6g} on the segment, more than the job allows"
-            found.append(Refutation(track.method, track.scenario, target, reason))
-    return found
+            travelled = f"{travel[target, joint]:.6g} on the segment, more than the job allows"
+            yield target, f"{arm.joints[joint]} travels {travelled}"
 
 
 def _check_paths(

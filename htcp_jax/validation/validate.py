@@ -15,6 +15,7 @@ collisions are only counted.
 import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -64,28 +65,24 @@ def validate_results(
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(Path(folder))
-    arms: dict[tuple, MujocoArm] = {}
-    walls: dict[tuple, Wall] = {}
-    surroundings_by_arm: dict[tuple, MujocoCell] = {}
+    parts, joints = LoadedParts(results), ()
     checked, report = [], progress or (lambda checked, count: None)
     for track in results.tracks:
-        arm, wall = _arm_with_tool(arms, results, track), _wall(walls, results, track)
-        surroundings = _cell_of_track(surroundings_by_arm, arms, track)
-        done = len(checked)
+        arm, wall, surroundings = parts.of(track)
+        joints, done = joints or arm.joints, len(checked)
         given = results, arm, wall, surroundings, track, between
         checked.append(check(*given, lambda share, done=done: report(done + share, results.count)))
         report(len(checked), results.count)
-    joints = next(iter(arms.values())).joints
     methods = {
         name: _sum_up([one for one in checked if one.method == name], joints, feed_mm_s)
         for name in dict.fromkeys(one.method for one in checked)
     }
     refuted = tuple(one for each in checked for one in each.refuted)
     seconds = time.perf_counter() - began
-    depth, pair = max((each.deepest for each in surroundings_by_arm.values()), default=(0.0, ""))
+    depth, pair = max((each.deepest for each in parts.cells.values()), default=(0.0, ""))
     excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
     found = not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded
-    return Validation(*found, _unchecked(checked, surroundings_by_arm.values()))
+    return Validation(*found, _unchecked(checked, parts.cells.values()))
 
 
 def validation_record(found: Validation) -> dict[str, Any]:
@@ -144,72 +141,54 @@ def _record_keys(recorded: dict[str, Any]) -> set[str]:
     return {*recorded, *(f"{method}.{key}" for method, check in recorded["methods"].items() for key in check)}
 
 
-def parts_of(results: Results, track: Track) -> tuple[MujocoArm, Wall, MujocoCell | None]:
-    """Load the arm, the workpiece and the other obstacles of a track.
+class LoadedParts:
+    """Arms, workpieces and cells of tracks; each is loaded once."""
 
-    Raises:
-        InputError: If a model cannot be read.
-    """
-    arms: dict[tuple, MujocoArm] = {}
-    return _arm_with_tool(arms, results, track), _wall({}, results, track), _cell_of_track({}, arms, track)
+    def __init__(self, results: Results):
+        self._results, self._arm = results, cache(_compiled)
+        self._walls: dict[tuple, Wall] = {}
+        self.cells: dict[tuple, MujocoCell] = {}
 
+    def of(self, track: Track) -> tuple[MujocoArm, Wall, MujocoCell | None]:
+        """Return the arm with its tool, the workpiece and the other obstacles of a track; None without obstacles.
 
-def _arm_with_tool(arms: dict[tuple, MujocoArm], results: Results, track: Track) -> MujocoArm:
-    """Return the arm with the track's tool.
+        Raises:
+            InputError: If a model cannot be read, or if the arm's number of joints differs from the saved plan's.
+        """
+        job, joints = track.config, track.x.shape[1]
+        arm = self._arm(job.robot, job.tree)
+        if len(arm.joints) != joints:
+            found = f"the saved plan has {joints} joints, but the model has {len(arm.joints)}"
+            raise InputError(f"{self._results.folder}: {found}")
+        # One wall for several paths on it; the density of points on a mesh depends on the arm.
+        key = build.walls_key(build.workpiece_key(job)), build.robot_key(job)
+        if key not in self._walls:
+            self._walls[key] = wall_of(job.workpiece, self._results.workpiece(job))
+        return arm, self._walls[key], self._cell(job, arm)
 
-    Raises:
-        InputError: If the arm's number of joints differs from the saved plan's.
-    """
-    arm = _compiled(arms, track.config)
-    if len(arm.joints) != track.x.shape[1]:
-        raise InputError(
-            f"{results.folder}: the saved plan has {track.x.shape[1]} joints, but the model has {len(arm.joints)}"
-        )
-    return arm
-
-
-def _compiled(arms: dict[tuple, MujocoArm], job: config.PlanConfig) -> MujocoArm:
-    """Return the arm of a job, or of its cell; each arm is compiled once."""
-    robot, tree = job.robot, job.tree
-    if (robot, tree) not in arms:
-        source = tree or robot.file
-        arms[robot, tree] = MujocoArm(
-            source,
-            robot.tool_extension_m,
-            robot.limits,
-            tcp=robot.tcp or model_source.default_tcp(source),
-            **({} if tree else {"base_m": robot.base_m, "base_rpy_rad": robot.base_rpy_rad}),
-            tool=robot.tool,
-            locked=dict(robot.locked),
-            pieces=robot.bodies != "capsules",
-        )
-    return arms[robot, tree]
+    def _cell(self, job: config.PlanConfig, arm: MujocoArm) -> MujocoCell | None:
+        cell, key = job.cell, (job.robot, job.tree, job.cell)
+        if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
+            return None
+        if key not in self.cells:
+            plain = self._arm(job.robot.model_copy(update={"tool_extension_m": 0.0}), job.tree)
+            self.cells[key] = MujocoCell(cell, arm, plain)
+        return self.cells[key]
 
 
-def _cell_of_track(
-    surroundings_by_arm: dict[tuple, MujocoCell], arms: dict[tuple, MujocoArm], track: Track
-) -> MujocoCell | None:
-    """Return the obstacles of a track other than the workpiece; None if there are none."""
-    job, cell = track.config, track.config.cell
-    if not (cell.self_collision or cell.model or cell.clouds or cell.obstacles):
-        return None
-    key = job.robot, job.tree, cell
-    if key not in surroundings_by_arm:
-        bare = job.robot.model_copy(update={"tool_extension_m": 0.0})
-        plain = _compiled(arms, job.model_copy(update={"robot": bare}))
-        surroundings_by_arm[key] = MujocoCell(cell, _compiled(arms, job), plain)
-    return surroundings_by_arm[key]
-
-
-def _wall(walls: dict[tuple, Wall], results: Results, track: Track) -> Wall:
-    """Return the wall of a track's workpiece; each is loaded once, even if there are several paths on it."""
-    key = (
-        build.walls_key(build.workpiece_key(track.config)),
-        build.robot_key(track.config),
-    )  # the density of points on a mesh depends on the arm
-    if key not in walls:
-        walls[key] = wall_of(track.config.workpiece, results.workpiece(track.config))
-    return walls[key]
+def _compiled(robot: config.RobotConfig, tree: model_source.ModelSource | None) -> MujocoArm:
+    """Return the arm of a job, or of its cell."""
+    source = tree or robot.file
+    return MujocoArm(
+        source,
+        robot.tool_extension_m,
+        robot.limits,
+        tcp=robot.tcp or model_source.default_tcp(source),
+        **({} if tree else {"base_m": robot.base_m, "base_rpy_rad": robot.base_rpy_rad}),
+        tool=robot.tool,
+        locked=dict(robot.locked),
+        pieces=robot.bodies != "capsules",
+    )
 
 
 def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: float) -> MethodCheck:
@@ -269,9 +248,9 @@ def _row_deviations(checked: Sequence[TrackCheck]) -> tuple[RowDeviation, ...]:
     return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
 
 
-def _unchecked(checked: Sequence[TrackCheck], surroundings_by_arm: Iterable[MujocoCell]) -> tuple[str, ...]:
+def _unchecked(checked: Sequence[TrackCheck], cells: Iterable[MujocoCell]) -> tuple[str, ...]:
     """Return sentences on obstacles without shapes, and on rows without an independent check."""
-    obstacles = sorted({name for surroundings in surroundings_by_arm for name in surroundings.unmeasured})
+    obstacles = sorted({name for cell in cells for name in cell.unmeasured})
     lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
     rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
     return *lines, *(f"The row {row} is not validated: its kind defines no method deviation." for row in sorted(rows))

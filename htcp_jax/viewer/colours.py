@@ -23,16 +23,7 @@ KINDS = {
     Kind.DWELL: DWELL,
     Kind.RETRACT: "#a0569c",
 }
-JOINTS = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#d55e00",
-    "#56b4e9",
-    "#cc79a7",
-    "#999933",
-    "#332288",
-)  # colours in joint order
+JOINTS = "#0072b2 #e69f00 #009e73 #d55e00 #56b4e9 #cc79a7 #999933 #332288".split()  # colours in joint order
 
 
 class TargetStyle(NamedTuple):

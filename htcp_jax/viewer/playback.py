@@ -26,9 +26,8 @@ def poses_along(replay: Replay) -> list[ArmPose]:
         return [pose_at(replay, 0)]
     leads = motion.target + (motion.kind == Kind.DWELL)
     come = np.where(np.append(np.diff(leads) != 0, True), leads, leads - 1)  # a segment's last row is at its target
-    first = int(
-        len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0
-    )  # the plan starts at target 0
+    starts_at_0 = len(motion.x) > 1 and (motion.x[0] == motion.x[1]).all() and come[1] == 0
+    first = int(starts_at_0)
     x, come, turns = motion.x[first:], come[first:], motion.kind[first:] == Kind.DWELL
     points = _moving_points(arms_at(replay.robot, x))
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)

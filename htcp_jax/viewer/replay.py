@@ -102,21 +102,6 @@ class Replay(NamedTuple):
         return self.surface.points
 
     @property
-    def p(self) -> Float[np.ndarray, "T K 3"]:
-        """First ends of the capsules' axes at every target."""
-        return self.shape.p
-
-    @property
-    def q(self) -> Float[np.ndarray, "T K 3"]:
-        """Second ends of the capsules' axes at every target."""
-        return self.shape.q
-
-    @property
-    def tcp(self) -> Float[np.ndarray, "T 3"]:
-        """Tool centre points at every target."""
-        return self.shape.tcp
-
-    @property
     def pieces(self) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
         """Convex pieces that are checked, by capsule: vertices in the frame of the link [m], radius about them [m]."""
         return robots.checked_pieces(self.robot)

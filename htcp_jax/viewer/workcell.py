@@ -110,34 +110,27 @@ class GivenCell:
     def __init__(self, cell: Workcell, scenario: Scenario):
         self._scenario = scenario
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
-        self._cell, self._placement = (
-            cell,
-            Placement(T, plane, float(scenario.tool_extension_m), scenario.obstacle_numbers),
-        )
+        self._cell = cell
+        self._placement = Placement(T, plane, float(scenario.tool_extension_m), scenario.obstacle_numbers)
 
     def key(self, number: int) -> Hashable:
         """Return None, the key of the only workcell."""
-        del number
         return None
 
     def cell(self, key: Hashable) -> Workcell:
         """Return the only workcell."""
-        del key
         return self._cell
 
     def placement(self, number: int) -> Placement:
         """Return the placement, which is the same in every scenario."""
-        del number
         return self._placement
 
     def task(self, number: int) -> Task | None:
         """Task of every scenario; None: the default one."""
-        del number
         return _task_of(self._cell.config, self._cell.robot)
 
     def goals(self, number: int) -> Float[np.ndarray, "T G"]:
         """Goals of the task in every scenario."""
-        del number
         return np.asarray(self._scenario.goals)
 
 

@@ -9,8 +9,6 @@ cut into pieces no longer than the grain. Anything that a piece crosses then has
 piece's middle. A tree finds these candidates, which are then tested exactly.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
@@ -102,24 +100,18 @@ def make_tip_guard(workpiece: Workpiece) -> TipGuard | None:
     """Return the tip guard of a workpiece, cached for the next plan; None if the tip may touch anywhere."""
     if workpiece.tip_contact_m is None:
         return None
-    wall = (
-        WallTriangles(workpiece.triangles)
-        if len(workpiece.triangles)
-        else WallDiscs(surfaces.surface_of(workpiece.cloud))
-    )
+    triangles, cloud = workpiece.triangles, workpiece.cloud
+    wall = WallTriangles(triangles) if len(triangles) else WallDiscs(surfaces.surface_of(cloud))
     return TipGuard(wall, workpiece.tip_contact_m)
 
 
-class _Samples(NamedTuple):
-    row: Int[np.ndarray, "m"]
-    middle: Float[np.ndarray, "m 3"]
-
-
-def _wall_samples(p: Ends, move: Ends, counts: Int[np.ndarray, "n"]) -> _Samples:
+def _wall_samples(
+    p: Ends, move: Ends, counts: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 3"]]:
     """Return the segment and the middle of each piece, after cutting each segment p, p + move into `counts` pieces."""
     row, nth = ragged_rows(counts)
     fraction = (nth + 0.5) / counts[row]
-    return _Samples(row, p[row] + fraction[:, None] * move[row])
+    return row, p[row] + fraction[:, None] * move[row]
 
 
 def _rows_dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:

@@ -67,8 +67,8 @@ def on_interval(
     middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
     # The computed bound may exceed the required one, as it is recorded as the proven clearance.
-    needed, enough = jnp.where(keeps, good, least), jnp.maximum(jnp.sqrt(kept) * middle, least)
-    wanted = RequiredClearance(requested, needed, enough)
+    required = jnp.where(keeps, good, least)
+    wanted = RequiredClearance(requested, required, jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
     for each, own in zip(obstacles, free_radius, strict=True):
         rows = each.rows(robot)

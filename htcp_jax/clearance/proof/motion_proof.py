@@ -23,10 +23,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
-from htcp_jax.clearance.proof.row_proof import between, rows_hold
+from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -48,17 +48,20 @@ class Tube(NamedTuple):
     required: Bool[Array, ""] | None = None  # True: the goals are required on all of the segment
 
 
-def prove(
+def query_on(
     scene: Scene,
     where: HasWorkpiecePose,
     a: Joints,
     b: Joints,
-    tube: Tube | None = None,
-    resolution_m: Float[ArrayLike, ""] = -ROUNDING_M,
-    deepest: Int[ArrayLike, ""] = DEEPEST,
-    kept: Float[ArrayLike, ""] = 0.0,
-) -> Proof:
-    """Return a proof or refutation that a straight joint path is clear, and that the TCP stays in the tube, if any.
+    tube: Tube | None,
+    resolution_m: Float[ArrayLike, ""],
+    deepest: Int[ArrayLike, ""],
+    kept: Float[ArrayLike, ""],
+) -> Callable[[Bisection], Bisection]:
+    """Return a function that checks the next interval of the bisection of a straight joint path.
+
+    Repeated from `initial_state()` as long as the bisection is going, it proves or refutes that the path is clear, and
+    that the TCP stays in the tube, if any.
 
     Args:
         scene: The scene.
@@ -71,28 +74,13 @@ def prove(
         kept: Share of D at an interval's middle that must be proven on all of the interval. Otherwise the interval is
             halved further, up to KEPT_DEPTH times. With 0, the proven clearance may be much smaller than D.
     """
-    look = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
-    return jax.lax.while_loop(lambda far: far.going, look, initial_state()).proof
-
-
-def query_on(
-    scene: Scene,
-    where: HasWorkpiecePose,
-    a: Joints,
-    b: Joints,
-    tube: Tube | None,
-    resolution_m: Float[ArrayLike, ""],
-    deepest: Int[ArrayLike, ""],
-    kept: Float[ArrayLike, ""],
-) -> Callable[[Bisection], Bisection]:
-    """Return a function that checks the next interval of the bisection; `prove` repeats it."""
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     requested = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
-    def look(far: Bisection) -> Bisection:
-        index, depth, end, proof = far
+    def check_next_interval(search: Bisection) -> Bisection:
+        index, depth, end, proof = search
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1).astype(half.dtype) * half
         x = a + place * (b - a)
@@ -100,9 +88,9 @@ def query_on(
         if tube is not None:
             stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
         if requested is not None:
-            inside, out = rows_hold(scene.robot, scene.task.parts, requested, x, b - a, half)
-            stays &= jnp.all(inside) | ~tube.required
-            out = jnp.any(out) & tube.required
+            rows = row_slacks(scene.robot, scene.task.parts, requested, x, b - a, half)
+            stays &= jnp.all(rows.left >= 0) | ~tube.required
+            out = jnp.any(rows.broken) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
         there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
@@ -121,7 +109,7 @@ def query_on(
         index, depth = jax.tree.map(partial(jnp.where, proven), next_interval(index, depth), (2 * index, depth + 1))
         return Bisection(index, depth, end, found)
 
-    return look
+    return check_next_interval
 
 
 def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):

@@ -17,7 +17,7 @@ import numpy as np
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
 from htcp_jax.model import Robot, Task, row_bounds, task_rows
 from htcp_jax.model import task as tasks
-from htcp_jax.types import Array, Bool, Float, Joints, Scalar, Vector3
+from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
 
 IN_TUBE = task_rows.TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
 
@@ -40,11 +40,11 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
 
 
 def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
-    """Return the parts of a task that `rows_left` covers: all but the TCP's position."""
+    """Return the parts of a task that `row_slacks` covers: all but the TCP's position."""
     return tuple(part for part in parts if part != IN_TUBE)
 
 
-def rows_left(
+def row_slacks(
     robot: Robot,
     parts: tuple[task_rows.Row, ...],
     requested: tuple[row_bounds.Region | None, ...],
@@ -65,22 +65,6 @@ def rows_left(
     given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
     found = [own.left(_FeatureSweep(robot, part.features, x, rates, half)) for part, own in given]
     return row_bounds.RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
-
-
-def rows_hold(
-    robot: Robot,
-    parts: tuple[task_rows.Row, ...],
-    requested: tuple[row_bounds.Region | None, ...],
-    x: Joints,
-    rates: Joints,
-    half: Scalar,
-) -> tuple[Bool[Array, "P"], Bool[Array, "P"]]:
-    """Return True for parts proven to be satisfied on a joint path, and True for parts violated at its middle.
-
-    The arguments are those of `rows_left`.
-    """
-    found = rows_left(robot, parts, requested, x, rates, half)
-    return found.left >= 0, found.broken
 
 
 @dataclass(frozen=True)

@@ -92,10 +92,7 @@ def columns_of(
     """
     header, first = list(header or ()), int(numbered)
     names = [head.name for head in header]
-    known = COORDINATE_NAMES | (DIRECTION_NAMES if needs_names else {name for family in NORMALS for name in family})
-    for name in filter(known.__contains__, names) if len(names) == width else XYZ:
-        if names.count(name) > 1:
-            raise InputError(f"{source}: the header names {name} twice: {listed(header)}")
+    _refuse_repeated(header, width, source, needs_names)
     if len(names) == width:
         xyz = _coordinates(header, source)
         normals = next((family for family in NORMALS if all(name in names for name in family)), None)
@@ -107,6 +104,15 @@ def columns_of(
     xyz = tuple(range(first, first + 3))
     guess = tuple(range(first + 3, first + 6)) if width - first == 6 else None
     return ColumnIndices(width, xyz, guess, False, unit_of(header, xyz, source), numbered)
+
+
+def _refuse_repeated(header: Sequence[Heading], width: int, source: str, needs_names: bool) -> None:
+    """Raise InputError if the header names a column twice that it must identify."""
+    names = [head.name for head in header]
+    known = COORDINATE_NAMES | (DIRECTION_NAMES if needs_names else {name for family in NORMALS for name in family})
+    for name in filter(known.__contains__, names) if len(names) == width else XYZ:
+        if names.count(name) > 1:
+            raise InputError(f"{source}: the header names {name} twice: {listed(header)}")
 
 
 def _coordinates(header: Sequence[Heading], source: str) -> tuple[int, ...]:

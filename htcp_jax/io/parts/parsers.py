@@ -32,25 +32,12 @@ NO_LINE_END = "its last line has no line end; check that the file is complete"  
 
 def pcd(file: Path) -> dict[str, np.ndarray]:
     """Read the points of a PCD cloud, in the file's order and frame, and its normals if it has any."""
-    from pypcd4 import Encoding, MetaData, PointCloud
+    from pypcd4 import Encoding, PointCloud
 
-    lines, found, remarks = [], {}, []
-    with file.open("rb") as stream:  # the header, as pypcd4 reads it, which would allocate any declared size
-        for line in stream:
-            if (words := line.decode().strip()) and not words.startswith("#"):
-                lines.append(words)
-            if words.startswith("DATA") or len(lines) == 10:
-                break
-        body = stream.read()
-    about, size = MetaData.parse_header(lines), file.stat().st_size
-    columns, row = sum(about.count), sum(map(math.prod, zip(about.size, about.count, strict=True)))
-    if columns > MOST_COLUMNS or about.points * row > max(LEAST_LIMIT, GROWTH * size):
-        raise ValueError(f"{columns:,} columns and {about.points:,} points do not fit into {size:,} bytes")
-    if about.width * about.height != about.points:
-        raise ValueError(f"the header declares {about.points} points, and {about.width} x {about.height}")
+    about, body = _pcd_header(file)
     cloud = PointCloud.from_path(file)
-    data = cloud.pc_data
-    there, rest = data.size, b""
+    data, row = cloud.pc_data, _pcd_row(about)
+    there, rest, remarks = data.size, b"", []
     if about.data == Encoding.BINARY:
         rest = body[about.points * row :]
         there = len(body if rest.strip(b"\0") else body[: about.points * row]) // row
@@ -67,11 +54,37 @@ def pcd(file: Path) -> dict[str, np.ndarray]:
         remarks.append(NO_LINE_END)
     if about.viewpoint[:3] != (0, 0, 0) or abs(about.viewpoint[3]) != 1:
         remarks.append(f"its VIEWPOINT is not applied: {' '.join(f'{value:g}' for value in about.viewpoint)}")
-    normals = ["normal_x", "normal_y", "normal_z"]
-    found["points"] = np.stack([data[name].astype(np.float64) for name in "xyz"], axis=-1)
-    if all(name in data.dtype.names for name in normals):
-        found["normals"] = np.stack([data[name].astype(np.float64) for name in normals], axis=-1)
-    return found | {"remarks": np.array(remarks, str)}
+    families = {"points": ["x", "y", "z"], "normals": ["normal_x", "normal_y", "normal_z"]}
+    return {
+        key: np.stack([data[name].astype(np.float64) for name in names], axis=-1)
+        for key, names in families.items()
+        if key == "points" or set(names) <= {*data.dtype.names}
+    } | {"remarks": np.array(remarks, str)}
+
+
+def _pcd_header(file: Path):
+    """Return the header of a PCD cloud, and what follows; pypcd4 itself would allocate any declared size."""
+    from pypcd4 import MetaData
+
+    lines: list[str] = []
+    with file.open("rb") as stream:
+        for line in stream:
+            if (words := line.decode().strip()) and not words.startswith("#"):
+                lines.append(words)
+            if words.startswith("DATA") or len(lines) == 10:
+                break
+        body = stream.read()
+    about, size = MetaData.parse_header(lines), file.stat().st_size
+    if sum(about.count) > MOST_COLUMNS or about.points * _pcd_row(about) > max(LEAST_LIMIT, GROWTH * size):
+        raise ValueError(f"{sum(about.count):,} columns and {about.points:,} points do not fit into {size:,} bytes")
+    if about.width * about.height != about.points:
+        raise ValueError(f"the header declares {about.points} points, and {about.width} x {about.height}")
+    return about, body
+
+
+def _pcd_row(about) -> int:
+    """Return the size of a point [bytes]."""
+    return sum(map(math.prod, zip(about.size, about.count, strict=True)))
 
 
 def las(file: Path) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ from htcp_jax.io.parts.ply import read_ply
 from htcp_jax.io.parts.scan import OF_ONE_UNIT, PARTS, SCANS, read_part, read_scan
 from htcp_jax.io.parts.stl import read_stl
 from htcp_jax.io.parts.table import read_npy, read_table
-from htcp_jax.model import arrays, mesh_points
+from htcp_jax.model import arrays
 from htcp_jax.system import known_ending, note_missing_line_end, read_bytes, read_tail
 
 TEXT = (".xyz", ".csv", ".txt")
@@ -67,20 +67,6 @@ def load_geometry(path: str | Path, unit: str | None = None) -> Geometry:
     if ending in TEXT:
         note_missing_line_end(path, read_tail(path))
     return found
-
-
-def load_cloud(path: str | Path, *, spacing: float | None = None) -> Float[np.ndarray, "P 3"]:
-    """Read the points [m] of a cloud file, or cover the mesh in a file with points, see `mesh_points.cover_mesh`.
-
-    Args:
-        path: The file.
-        spacing: Widest gap between the points on a mesh [m]; None: see `mesh_points.cover_mesh`.
-
-    Raises:
-        InputError: As `load_geometry` does.
-    """
-    found = load_geometry(path)
-    return mesh_points.cover_mesh(found.triangles, str(path), spacing).points if len(found.triangles) else found.points
 
 
 def read_points(path: str | Path, unit: str | None = None) -> TablePoints:

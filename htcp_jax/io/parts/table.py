@@ -11,15 +11,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.arrays import read_array
-from htcp_jax.io.parts.columns import (
-    NEARLY_UNIT,
-    XYZ,
-    ColumnIndices,
-    TablePoints,
-    chosen_columns,
-    columns_of,
-    unit_of,
-)
+from htcp_jax.io.parts.columns import NEARLY_UNIT, XYZ, ColumnIndices, TablePoints, chosen_columns, columns_of, unit_of
 from htcp_jax.io.parts.headings import (
     COORDINATE_NAMES,
     DIRECTION_NAMES,

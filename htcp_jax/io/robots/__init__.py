@@ -1,7 +1,8 @@
 """Robots: reading of arms, and import of vendors' models as arms of capsules.
 
 `load_robot` reads an arm from a model file, MJCF or URDF; `gp50` loads the built-in arm. `model_file` compiles such a
-file with MuJoCo and extracts the chain to the TCP. `safe_xml` refuses harmful files before MuJoCo reads them.
+file with MuJoCo and extracts the chain to the TCP, see `chain`; `mujoco_models` compiles, and looks up names, texts and
+numbers. `safe_xml` refuses harmful files before MuJoCo reads them.
 `urdf_elements` names unknown elements of a URDF, `urdf_joints` checks its tree and writes the ranges
 that hold, `constraints` finds an MJCF file's couplings; `remarks` turns what concerns the chain into messages.
 `joint_limits` reads limits from another file.

@@ -5,7 +5,7 @@ from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
-from .mujoco_models import body_name, compile_spec, delete_all, joint_name
+from .mujoco_models import body_name, compile_spec, delete_all, joint_name, massive_bodies
 from .vendor_import import ImportedArm, chain_text, import_robot
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "import_robot",
     "joint_name",
     "load_robot",
+    "massive_bodies",
     "mjcf",
     "model_file",
     "part_moves",

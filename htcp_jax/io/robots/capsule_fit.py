@@ -215,16 +215,27 @@ def _cuts(piece: MeshPiece) -> Iterator[list[MeshPiece]]:
     """Yield the halves of a piece on both sides of planes normal to the frame's axes and its principal axes."""
     corners = hull_corners(piece.triangles.reshape(-1, 3))
     for axis in (*np.eye(3), *principal(corners)):
-        along = corners @ axis
         for share in CUTS:
-            offset = float(along.min() + share * np.ptp(along))
-            cuts = Cut(tuple(axis.tolist()), offset), Cut(tuple((-axis).tolist()), -offset)
-            halves = [clip(piece.triangles, cut) for cut in cuts]
-            if all(map(len, halves)):
-                yield [
-                    piece._replace(triangles=half, cuts=(*piece.cuts, cut))
-                    for half, cut in zip(halves, cuts, strict=True)
-                ]
+            if len(halves := slabs(piece, axis, corners @ axis, (share,))) == 2:
+                yield halves
+
+
+def slabs(piece: MeshPiece, axis: Vector, along: Float[np.ndarray, "n"], shares: tuple[float, ...]) -> list[MeshPiece]:
+    """Cut a piece normal to an axis, at shares of its extent; no capsules are fitted to the parts.
+
+    Args:
+        piece: The piece.
+        axis: The axis, a unit vector.
+        along: Positions of the piece's points along the axis [m].
+        shares: The shares, increasing.
+    """
+    parts, rest = [], piece
+    for share in shares:
+        offset = float(along.min() + share * np.ptp(along))
+        below, above = Cut(tuple(axis.tolist()), offset), Cut(tuple((-axis).tolist()), -offset)
+        parts.append(rest._replace(triangles=clip(rest.triangles, below), cuts=(*rest.cuts, below)))
+        rest = rest._replace(triangles=clip(rest.triangles, above), cuts=(*rest.cuts, above))
+    return [each for each in (*parts, rest) if len(each.triangles)]
 
 
 def _grid(capsule: Capsule) -> Points:

@@ -8,7 +8,8 @@ from the mesh, at points on the capsules' surfaces.
 import itertools
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cache
 
 import fcl
 import numpy as np
@@ -19,12 +20,10 @@ from htcp_jax.io.robots.capsule_fit import (
     CUTS,
     THINNEST_M,
     Capsule,
-    Cut,
     MeshPiece,
     Points,
     Triangles,
     Vector,
-    clip,
     fit_capsule,
 )
 
@@ -47,11 +46,13 @@ GOLDEN = np.pi * (3 - 5**0.5)  # [rad]
 PROBE_M = 1e-9  # radius of the sphere that represents a point
 
 
-class _Part(NamedTuple):
-    """A piece of a mesh, with the points of a grid that are in its capsule."""
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A piece of a mesh, with the points of a grid that are in its capsule; it is equal to itself only."""
 
     piece: MeshPiece
     inside: Bool[np.ndarray, "G"]
+    is_thorough: bool = False  # True if the capsule is the smallest one that was found
 
 
 def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | None = None) -> list[MeshPiece]:
@@ -65,19 +66,20 @@ def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | N
     """
     whole = MeshPiece(triangles, fit_capsule(triangles.reshape(-1, 3)))
     grid = volume_grid([whole.capsule], FINE)[0]
-
-    def part(piece: MeshPiece) -> _Part:
-        return _Part(piece, piece.capsule.depth(grid) >= 0)
-
     surface = None if tolerance_m is None else _Surface(triangles)
-    parts, splits, fits = [part(whole)], {}, {}
-    fits[id(parts[0])] = parts[0], parts[0]
 
+    def part(piece: MeshPiece, is_thorough: bool = False) -> _Part:
+        return _Part(piece, piece.capsule.depth(grid) >= 0, is_thorough)
+
+    @cache
     def fitted(rough: _Part) -> _Part:
-        if (key := id(rough)) not in fits:
-            fits[key] = rough, part(_fitted(rough.piece))  # with the first, so that its id stays its own
-            fits[id(fits[key][1])] = fits[key][1], fits[key][1]
-        return fits[key][1]
+        return rough if rough.is_thorough else part(_fitted(rough.piece), is_thorough=True)
+
+    @cache
+    def splits(known: _Part) -> list[list[_Part]]:
+        return [[part(half) for half in halves] for halves in _splits(known.piece, most - len(parts))]
+
+    parts = [part(whole, is_thorough=True)]
 
     def cost(parts: list[_Part]) -> float:
         filled = np.any([each.inside for each in parts], axis=0).sum()
@@ -93,16 +95,9 @@ def cover_closely(triangles: Triangles, most: int = MOST, tolerance_m: float | N
             if far.sum() <= (1 - WITHIN) * bare.sum():
                 break
             some = np.argsort(-far)[:WORST]
-        tried = []
-        for k in some:
-            if (key := id(parts[k].piece)) not in splits:
-                cuts = _splits(parts[k].piece, most - len(parts))
-                splits[key] = [[part(half) for half in halves] for halves in cuts]
-            tried += [parts[:k] + halves + parts[k + 1 :] for halves in splits[key]]
+        tried = [parts[:k] + halves + parts[k + 1 :] for k in some for halves in splits(parts[k])]
         tried = sorted((each for each in tried if len(each) <= most), key=cost)[:BEST]
-        best = min(
-            ([fitted(each) for each in found] for found in tried), key=beyond if surface else cost, default=parts
-        )
+        best = min((list(map(fitted, found)) for found in tried), key=beyond if surface else cost, default=parts)
         if best is parts or (surface is None and cost(best) >= cost(parts)):
             break
         parts = best
@@ -225,15 +220,7 @@ def _splits(piece: MeshPiece, more: int) -> Iterator[list[MeshPiece]]:
 
 
 def _slabs(piece: MeshPiece, axis: Vector, shares: tuple[float, ...]) -> list[MeshPiece]:
-    """Cut a piece at shares of its extent along an axis; no capsules are fitted to the parts."""
-    along = piece.triangles.reshape(-1, 3) @ axis
-    slabs, rest = [], piece
-    for share in shares:
-        offset = float(along.min() + share * np.ptp(along))
-        below, above = Cut(tuple(axis.tolist()), offset), Cut(tuple((-axis).tolist()), -offset)
-        slabs.append(rest._replace(triangles=clip(rest.triangles, below), cuts=(*rest.cuts, below)))
-        rest = rest._replace(triangles=clip(rest.triangles, above), cuts=(*rest.cuts, above))
-    return [each for each in (*slabs, rest) if len(each.triangles)]
+    return capsule_fit.slabs(piece, axis, piece.triangles.reshape(-1, 3) @ axis, shares)
 
 
 def _rough_capsule(points: Points) -> Capsule:

@@ -14,14 +14,15 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
-from htcp_jax.io.robots.mujoco_models import compiled, delete_all, joint_name, no_log, set_massless
+from htcp_jax.io.robots.mujoco_models import compile_unchecked, delete_all, joint_name, no_log, set_massless
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS
 from htcp_jax.spec import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.types import Triple
 
 PER_JOINT = "speed", "acceleration", "datasheet_lower", "datasheet_upper"  # <numeric>s with one value per joint
-_OF_CAPSULES = PIECE, CUTS, RADIUS, FITTED, EXCESS  # prefixes of texts and numerics that are named after a capsule
+# Heads of the names of texts and numerics that are named after a capsule, a joint or a body.
+_NAMED_AFTER = PIECE, CUTS, RADIUS, FITTED, EXCESS, remarks.ON_JOINT, remarks.ON_BODY
 
 
 class _Carrier(NamedTuple):
@@ -90,7 +91,7 @@ def _read_part(placed: PlacedModel) -> _Part:
     set_massless(spec)  # as for a single file
     bare = spec.copy()
     delete_all(bare, bare.tuples, bare.excludes, bare.geoms, bare.meshes)
-    return _Part(placed, spec, compiled(bare, placed.file))
+    return _Part(placed, spec, compile_unchecked(bare, placed.file))
 
 
 def _without_custom(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -187,14 +188,9 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
     for part in parts:
         prefix, own = part.prefix, [joint_name(part.model, j) for j in range(part.model.njnt)]
         for each in [*part.spec.texts, *part.spec.numerics]:
-            add = tree.add_text if isinstance(each, mujoco.MjsText) else tree.add_numeric
-            size = {} if isinstance(each, mujoco.MjsText) else {"size": len(each.data)}
-            if head := next((head for head in _OF_CAPSULES if each.name.startswith(head)), None):
-                add(name=head + prefix + each.name.removeprefix(head), data=each.data, **size)
-            elif each.name.startswith(remarks.ON_JOINT):
-                add(name=each.name, data=each.data)
-            elif each.name.startswith(remarks.ON_BODY):
-                add(name=remarks.ON_BODY + prefix + each.name.removeprefix(remarks.ON_BODY), data=each.data)
+            if head := next((head for head in _NAMED_AFTER if each.name.startswith(head)), None):
+                owner = each.name.removeprefix(head)  # joints keep their names
+                _add_alike(tree, each, head + owner if head == remarks.ON_JOINT else head + prefix + owner)
             elif each.name in PER_JOINT:
                 values.setdefault(each.name, {}).update(zip(own, each.data, strict=True))
             elif each.name == MADE_FROM:
@@ -216,6 +212,13 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
         complete = all(joint in known for joint in joints)
         if complete or not name.startswith("datasheet"):
             tree.add_numeric(name=name, data=[known.get(joint, np.inf) for joint in joints], size=len(joints))
+
+
+def _add_alike(tree: mujoco.MjSpec, element: mujoco.MjsText | mujoco.MjsNumeric, name: str) -> None:
+    if isinstance(element, mujoco.MjsText):
+        tree.add_text(name=name, data=element.data)
+    else:
+        tree.add_numeric(name=name, data=element.data, size=len(element.data))
 
 
 def _excluded_in_world(spec: mujoco.MjSpec) -> Iterator[tuple[str, str]]:

@@ -23,18 +23,16 @@ from htcp_jax.spec import LIMITS_FILE, is_limits_file, strict_yaml
 
 SECTION = "joint_limits"
 RATES = "velocity", "acceleration", "jerk"
-BOUNDS = {"position": ("min_position", "max_position")} | {
-    rate: (f"max_{rate}",) for rate in RATES
-}  # keys of each kind of limit
+# Keys of each kind of limit.
+BOUNDS = {"position": ("min_position", "max_position")} | {rate: (f"max_{rate}",) for rate in RATES}
 SWITCHES = tuple(f"has_{kind}_limits" for kind in (*BOUNDS, "effort", "deceleration"))  # not named as unused
 LARGEST_ANGLE, LARGEST_SHIFT = 20.0, 100.0  # larger positions [rad, m] are usually in degrees or millimetres
 FASTEST = 50.0  # larger velocities [rad/s, m/s] are named, as they may be in degrees per second
 MOST = 8  # largest number of names in a list of a message
 UNLIMITED = 1e6  # larger positions stand for no limit [rad or m]
 LIMIT_ROUNDING = 1e-6  # difference from a limit that is not reported [rad or m, per s]
-ANGLE = re.compile(
-    r"\s*(deg|rad)\(\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*\)\s*"
-)  # as rosparam reads them
+# Angles as rosparam reads them.
+ANGLE = re.compile(r"\s*(deg|rad)\(\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*\)\s*")
 ANGLE_TAGS = {"deg": "!degrees", "rad": "!radians"}
 
 

@@ -37,8 +37,8 @@ def set_massless(spec: mujoco.MjSpec) -> None:
     spec.compiler.balanceinertia = True
 
 
-def compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile a model whose shapes refer to no files.
+def compile_unchecked(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """Compile a model whose shapes refer to no files, whatever the ranges of its joints.
 
     Raises:
         InputError: For a model that MuJoCo refuses.
@@ -65,7 +65,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
                 f"{path}: joint {joint.name!r} has range {lower:g} to {upper:g}; the lower limit must come first"
             )
     set_massless(spec)
-    return compiled(spec, path)
+    return compile_unchecked(spec, path)
 
 
 def unreadable_model(path: Path, error: Exception) -> InputError:
@@ -134,6 +134,11 @@ def joints_of(model: mujoco.MjModel, body: int) -> range:
     """Return the joints that move a body relative to its parent, by their indices in the model."""
     first = int(model.body_jntadr[body])
     return range(first, first + int(model.body_jntnum[body]))
+
+
+def massive_bodies(spec: mujoco.MjSpec) -> list[int]:
+    """Return the bodies with an inertia in the file, by their indices in the compiled model."""
+    return [body.id for body in spec.bodies if body.explicitinertial and body.mass > 0]
 
 
 def excluded_bodies(model: mujoco.MjModel) -> set[tuple[int, int]]:

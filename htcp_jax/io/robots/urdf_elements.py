@@ -118,15 +118,7 @@ def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]
     if tag in ("link", "joint"):
         owner, inside = f"{tag} {short(element.get('name', ''))!r}", ""
     where = f"{path}: {owner and owner + ': '}<{tag}>"
-    counts = Counter(child.tag for child in element)
-    for name, how_many in rule.children.items():
-        if counts[name] > 1 and how_many != "*":
-            raise InputError(f"{where} has {counts[name]} <{name}>; it must have one")
-        if how_many == "!" and not counts[name]:
-            raise InputError(f"{where} has no <{name}>")
-    if tag == "geometry" and sum(counts[shape] for shape in SHAPES) != 1:
-        found = ", ".join(f"<{name}>" for name in counts) or "nothing"
-        raise InputError(f"{where} contains {short(found)}; it must contain one of {', '.join(SHAPES)}")
+    _check_children(element, rule, where)
     if missing := [name for name in sorted(rule.required) if not element.get(name)]:
         raise InputError(f"{where} has no attribute {missing[0]!r}")
     for name, value in element.attrib.items():
@@ -145,6 +137,19 @@ def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]
                 unread.setdefault("limits in <ros2_control>", []).append("")
         elif child.tag in _CONTENT and child.tag != skipped:
             _check(child, owner, path, unread, skipped)
+
+
+def _check_children(element: Element, rule: _Rule, where: str) -> None:
+    """Check how often the children of an element occur; `where` names the element in messages."""
+    counts = Counter(child.tag for child in element)
+    for name, how_many in rule.children.items():
+        if counts[name] > 1 and how_many != "*":
+            raise InputError(f"{where} has {counts[name]} <{name}>; it must have one")
+        if how_many == "!" and not counts[name]:
+            raise InputError(f"{where} has no <{name}>")
+    if element.tag == "geometry" and sum(counts[shape] for shape in SHAPES) != 1:
+        found = ", ".join(f"<{name}>" for name in counts) or "nothing"
+        raise InputError(f"{where} contains {short(found)}; it must contain one of {', '.join(SHAPES)}")
 
 
 def _check_numbers(text: str, count: int, where: str, may_be_infinite: bool) -> None:

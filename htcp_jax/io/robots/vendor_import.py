@@ -20,7 +20,15 @@ from htcp_jax.io.robots.capsule_fit import Capsule, MeshPiece, Triangles
 from htcp_jax.io.robots.chain import FEWEST_JOINTS, Chain, chain_between, check_joints, find_link, link_frames
 from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
-from htcp_jax.io.robots.mujoco_models import body_name, compile_spec, delete_all, joint_name, model_name, upwards
+from htcp_jax.io.robots.mujoco_models import (
+    body_name,
+    compile_spec,
+    delete_all,
+    joint_name,
+    massive_bodies,
+    model_name,
+    upwards,
+)
 from htcp_jax.io.robots.remarks import OF_IMPORT
 from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
@@ -179,7 +187,7 @@ def import_robot(
         fixed={joint_name(model, j): value for j, value in sorted((values | offset).items())},
         bodies=bodies,
         covers=covers,
-        massive=tuple(b.id for b in spec.bodies if b.explicitinertial and b.mass > 0 and b.id in bodies),
+        massive=tuple(b for b in massive_bodies(spec) if b in bodies),
         numbers={name: values[sorted(joints)] for name, values in numbers.items()},
         excluded=tuple(_described(geom, model) for geom in chosen if geom not in own),
         visual=visual,

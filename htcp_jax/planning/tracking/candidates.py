@@ -4,8 +4,6 @@ The scenario waits while step QPs track its target from each candidate. It conti
 reaches the target by a clear joint path.
 """
 
-import threading
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,36 +11,9 @@ import numpy as np
 from htcp_jax.device import tables
 from htcp_jax.motion import step_functions
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
-from htcp_jax.planning.tracking.lanes import Lanes, new_lanes
+from htcp_jax.planning.tracking.lanes import ArrivedCandidates, Lanes, PendingCandidates, Work, new_lanes
 from htcp_jax.planning.tracking.sampling import Candidates
 from htcp_jax.planning.tracking.stages import Recoveries
-
-
-class ArrivedCandidates(NamedTuple):
-    """Candidates that reached their target, and their states there."""
-
-    number: np.ndarray  # number of each candidate in its scenario
-    now: step_functions.State
-
-
-@dataclass
-class PendingCandidates:
-    """A stuck scenario whose candidates are being tracked."""
-
-    lane: tuple[Lanes, np.ndarray]  # the table and the row of the stuck lane
-    stage: int  # number of the sampling stage
-    left: int  # number of candidates not decided yet
-    qps: int = 0  # number of step QPs solved for the candidates
-    # candidates that reached the target: tables, and their rows for this scenario
-    ends: list[tuple[ArrivedCandidates, np.ndarray]] = field(default_factory=list)
-
-
-@dataclass
-class PendingScenarios:
-    """The scenarios that wait for their candidates; any engine may track the candidates."""
-
-    of: dict[int, PendingCandidates] = field(default_factory=dict)  # scenario -> its candidates
-    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Arrivals(NamedTuple):
@@ -65,9 +36,9 @@ class StageOutcome(NamedTuple):
 class CandidateSearch:
     """Proposes, tracks and selects candidates for one engine."""
 
-    def __init__(self, checks: LaneChecks, recoveries: Recoveries, waiting: PendingScenarios):
+    def __init__(self, checks: LaneChecks, recoveries: Recoveries, work: Work):
         self._checks, self._functions = checks, [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
-        self._waiting = waiting
+        self._work = work
 
     def sample(self, lanes: Lanes, stage: int) -> StageOutcome:
         """Propose candidates for every lane; select the best one that is already done, else track from all of them."""
@@ -103,12 +74,12 @@ class CandidateSearch:
         Returns:
             The outcome, with the lanes to be tracked as its `candidates`.
         """
-        left = valid.sum(axis=1)
-        for k in np.flatnonzero(left):
-            pending = PendingCandidates((lanes, np.array([k])), stage, int(left[k]))
-            self._waiting.of[int(lanes.scenario[k])] = pending
+        count = valid.sum(axis=1)
+        for k in np.flatnonzero(count):
+            pending = PendingCandidates((lanes, np.array([k])), stage, int(count[k]))
+            self._work.pending[int(lanes.scenario[k])] = pending
         owner, number = np.nonzero(valid)
-        spent = tables.gather(lanes, left == 0)
+        spent = tables.gather(lanes, count == 0)
         if not len(owner):
             return StageOutcome(stage, spent)
         at = lanes.scenario[owner], lanes.target[owner], lanes.x_previous[owner]
@@ -138,18 +109,18 @@ class CandidateSearch:
         qps = np.add.reduceat(lanes.iteration[decided], first)
         good = np.concatenate([[0], np.cumsum(reached[decided])])  # reached ones before each row, and in total
         rows = decided[reached[decided]]
-        ends = ArrivedCandidates(lanes.candidate[rows], tables.gather(now, rows))
+        arrived = ArrivedCandidates(lanes.candidate[rows], tables.gather(now, rows))
         ready = []
-        with self._waiting.lock:
+        with self._work.pending_lock:
             for k, (start, end) in enumerate(zip(first, [*first[1:], len(decided)], strict=True)):
                 scenario = int(lanes.scenario[decided[start]])
-                pending = self._waiting.of[scenario]
-                pending.left -= int(end - start)
+                pending = self._work.pending[scenario]
+                pending.undecided -= int(end - start)
                 pending.qps += int(qps[k])
                 if good[end] > good[start]:
-                    pending.ends.append((ends, np.arange(good[start], good[end])))
-                if not pending.left:
-                    ready.append(self._waiting.of.pop(scenario))
+                    pending.arrived.append((arrived, np.arange(good[start], good[end])))
+                if not pending.undecided:
+                    ready.append(self._work.pending.pop(scenario))
         stages = sorted({pending.stage for pending in ready})
         return [self._choose([each for each in ready if each.stage == stage], stage) for stage in stages]
 
@@ -157,14 +128,14 @@ class CandidateSearch:
         """Select, for each scenario, the best candidate that reached the target."""
         lanes = tables.gather_from([each.lane for each in ready])
         lanes = lanes._replace(iteration=lanes.iteration + np.array([each.qps for each in ready], np.int32))
-        found = np.array([bool(each.ends) for each in ready])
+        found = np.array([bool(each.arrived) for each in ready])
         spent = tables.gather(lanes, ~found)
         if not found.any():
             return StageOutcome(stage, spent)
-        ready, lanes = [each for each in ready if each.ends], tables.gather(lanes, found)
-        places = [place for each in ready for place in each.ends]
+        ready, lanes = [each for each in ready if each.arrived], tables.gather(lanes, found)
+        places = [place for each in ready for place in each.arrived]
         number, now = tables.gather_from(places)
-        owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.ends) for each in ready])
+        owner = np.repeat(np.arange(len(ready)), [sum(len(rows) for _, rows in each.arrived) for each in ready])
         best, clear = self._best(lanes, owner, number, now.x)
         return StageOutcome(stage, spent, Arrivals(lanes, tables.gather(now, best), clear))
 

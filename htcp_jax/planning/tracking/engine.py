@@ -23,7 +23,7 @@ import numpy as np
 from htcp_jax.device import tables
 from htcp_jax.motion import CollisionChecker, Plans, Problem, step_functions
 from htcp_jax.planning.tracking.backwards import BackwardPlans, BackwardsRound
-from htcp_jax.planning.tracking.candidates import CandidateSearch, PendingScenarios, StageOutcome
+from htcp_jax.planning.tracking.candidates import CandidateSearch, StageOutcome
 from htcp_jax.planning.tracking.lane_checks import LaneChecks
 from htcp_jax.planning.tracking.lanes import BACKWARDS, ENTERING, MAIN, NEW, TRACK, Lanes, LaneTable, Work
 from htcp_jax.planning.tracking.record import Record
@@ -35,7 +35,7 @@ from htcp_jax.status import Status
 class Engine:
     """Engine of one thread: plans scenarios from `work` and writes the results into `plans`.
 
-    All engines share `work` and `waiting`. Without a `solver` the step QPs are solved on the device.
+    All engines share `work`. Without a `solver` the step QPs are solved on the device.
     """
 
     def __init__(
@@ -46,7 +46,6 @@ class Engine:
         recoveries: Recoveries,
         plans: Plans,
         work: Work,
-        waiting: PendingScenarios,
     ):
         settings, scenarios, self._progress = problem.settings, problem.scenarios, problem.progress
         self._executor, self._solver, self._recoveries = checker.executor, solver, recoveries
@@ -54,10 +53,10 @@ class Engine:
         self._table = LaneTable(checker.executor, scenarios, work)
         self._checks = LaneChecks(problem, checker, recoveries.check_paths)
         self._record = Record(plans)
-        self._candidates = CandidateSearch(self._checks, recoveries, waiting)
+        self._candidates = CandidateSearch(self._checks, recoveries, work)
         self._backwards = BackwardPlans(self._checks, self._record, recoveries, settings, scenarios.x_start)
         # Without a null space, stages that need one are skipped.
-        self._possible = [checker.executor.freedom > 0 or not stage.in_null_space for stage in recoveries.stages]
+        self._is_possible = [checker.executor.freedom > 0 or not stage.in_null_space for stage in recoveries.stages]
         self._stage_functions = [stage.lane_function(k) for k, stage in enumerate(recoveries.stages)]
 
     def run(self) -> None:
@@ -74,11 +73,11 @@ class Engine:
         elif phase == TRACK:
             self._track(lanes)
         elif phase in BACKWARDS:
-            self._continue(self._backwards.advance(lanes, phase))
+            self._continue_backwards(self._backwards.advance(lanes, phase))
         elif isinstance(self._recoveries.stages[phase], NullSpace):
             self._move_in_null_space(lanes, phase)
         else:
-            self._come_to(self._candidates.sample(lanes, phase))
+            self._continue_after_sampling(self._candidates.sample(lanes, phase))
 
     # Tracking by step QPs
 
@@ -91,7 +90,7 @@ class Engine:
 
     def _track(self, lanes: Lanes) -> None:
         """Solve one step QP for every lane or, on the device, a chunk of step QPs."""
-        now, iteration, verdict = self._chunk(lanes) if self._solver is None else self._step(lanes)
+        now, iteration, verdict = self._solve_chunk(lanes) if self._solver is None else self._solve_one_qp(lanes)
         lanes = lanes._replace(x_ref=now.x, linear=now.linear, iteration=iteration)
         solved = verdict == step_qp.QPStatus.SOLVED
         reached = self._checks.at_target(lanes, now, solved)
@@ -106,23 +105,23 @@ class Engine:
         )
         reason[tip_blocked] = Status.TIP_BLOCKED
         main = lanes.candidate == MAIN
-        self._enter(tables.gather(lanes, stuck & main), 0, reason[stuck & main])
-        self._reached(tables.gather(lanes, reached & main), tables.gather(now, reached & main))
+        self._enter_stage(tables.gather(lanes, stuck & main), 0, reason[stuck & main])
+        self._accept_reached(tables.gather(lanes, reached & main), tables.gather(now, reached & main))
         for outcome in self._candidates.decide(lanes, now, reached & ~main, stuck & ~main):
-            self._come_to(outcome)
+            self._continue_after_sampling(outcome)
 
-    def _step(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
+    def _solve_one_qp(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
         qps = self._executor(
             step_functions.PREPARE, self._checks.inputs(lanes), lanes.x_ref, lanes.x_previous, lanes.linear
         )
         y, verdict = self._solver.solve(qps)
         return self._checks.advanced(lanes, y), lanes.iteration + 1, verdict
 
-    def _chunk(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
+    def _solve_chunk(self, lanes: Lanes) -> tuple[step_functions.State, np.ndarray, np.ndarray]:
         state = lanes.x_ref, lanes.x_previous, lanes.linear, lanes.iteration
         return self._executor(step_functions.TRACK_CHUNK, self._checks.inputs(lanes), *state)
 
-    def _reached(self, lanes: Lanes, now: step_functions.State) -> None:
+    def _accept_reached(self, lanes: Lanes, now: step_functions.State) -> None:
         """Continue main lanes that have reached the target: increase D if required, check the path, accept."""
         if not lanes.size:
             return
@@ -131,7 +130,7 @@ class Engine:
         clear = self._checks.path_clear(lanes, now.x, self._checks.of_steps)
         blocked = clear == 0
         self._accept(tables.gather(lanes, ~blocked), tables.gather(now, ~blocked), Status.TRACKED, 0, clear[~blocked])
-        self._enter(tables.gather(lanes, blocked), 0, Status.PATH_BLOCKED)
+        self._enter_stage(tables.gather(lanes, blocked), 0, Status.PATH_BLOCKED)
 
     def _ascended(self, lanes: Lanes, now: step_functions.State) -> tuple[Lanes, step_functions.State]:
         """Return the lanes after an increase of D in the null space where D is small, unless it blocks a clear path."""
@@ -170,7 +169,7 @@ class Engine:
 
     # Recovery stages
 
-    def _enter(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
+    def _enter_stage(self, lanes: Lanes, stage: int, reason: np.ndarray | Status) -> None:
         """Enter a recovery stage with main lanes that are stuck.
 
         If the method has no stage with that number, the target fails, and the scenario ends unless it is planned
@@ -178,14 +177,14 @@ class Engine:
         """
         if not lanes.size:
             return
-        while stage < len(self._possible) and not self._possible[stage]:
+        while stage < len(self._is_possible) and not self._is_possible[stage]:
             stage, reason = stage + 1, Status.NO_NULL_SPACE
-        if stage < len(self._possible):
+        if stage < len(self._is_possible):
             phase, null_space_steps = np.full_like(lanes.phase, stage), np.full_like(lanes.null_space_steps, ENTERING)
             self._table.keep(lanes._replace(phase=phase, null_space_steps=null_space_steps))
         else:
             self._record.lose(lanes, reason)
-            self._continue(self._backwards.begin(lanes))
+            self._continue_backwards(self._backwards.begin(lanes))
 
     def _move_in_null_space(self, lanes: Lanes, stage: int) -> None:
         """Take a chunk of null-space steps with every lane; new lanes are first moved onto their target."""
@@ -193,7 +192,7 @@ class Engine:
         if entering.any():
             new = tables.gather(lanes, entering)
             now = self._executor(ENTER, self._checks.inputs(new), new.x_previous)
-            new = self._arrived(new._replace(null_space_steps=np.zeros_like(new.null_space_steps)), now, stage)
+            new = self._after_steps(new._replace(null_space_steps=np.zeros_like(new.null_space_steps)), now, stage)
             lanes = tables.concatenate([tables.gather(lanes, ~entering), new])
         if lanes.size:
             most = np.minimum(
@@ -201,9 +200,9 @@ class Engine:
             ).astype(np.int32)
             state = lanes.x_previous, lanes.x_ref, lanes.null_space_steps, most
             now, null_space_steps = self._executor(self._stage_functions[stage], self._checks.inputs(lanes), *state)
-            self._table.keep(self._arrived(lanes._replace(null_space_steps=null_space_steps), now, stage))
+            self._table.keep(self._after_steps(lanes._replace(null_space_steps=null_space_steps), now, stage))
 
-    def _arrived(self, lanes: Lanes, now: step_functions.State, stage: int) -> Lanes:
+    def _after_steps(self, lanes: Lanes, now: step_functions.State, stage: int) -> Lanes:
         """Return the lanes whose recovery in the null space continues.
 
         Lanes that meet the success criterion, and lanes that have taken the maximum number of steps, leave the stage.
@@ -212,33 +211,33 @@ class Engine:
         out = self._checks.at_target(lanes, now)
         spent = ~out & (lanes.null_space_steps >= self._settings.max_null_space_steps)
         reason = np.where(self._checks.keeps_margin(lanes, now), Status.TIP_BLOCKED, Status.RECOVERY_EXHAUSTED)
-        self._enter(tables.gather(lanes, spent), stage + 1, reason[spent])
+        self._enter_stage(tables.gather(lanes, spent), stage + 1, reason[spent])
         free = tables.gather(lanes, out)
         if self._settings.after_recovery == "track":
             one_each = np.ones((free.size, 1), bool)
-            self._come_to(self._candidates.track_from(free, free.x_ref[:, None], one_each, stage))
+            self._continue_after_sampling(self._candidates.track_from(free, free.x_ref[:, None], one_each, stage))
         else:
             clear = self._checks.path_clear(free, free.x_ref, self._checks.of_recoveries)
-            self._recovered(free, tables.gather(now, out), clear, stage)
+            self._accept_recovered(free, tables.gather(now, out), clear, stage)
         return tables.gather(lanes, ~out & ~spent)
 
-    def _recovered(self, lanes: Lanes, now: step_functions.State, clear: np.ndarray, stage: int) -> None:
+    def _accept_recovered(self, lanes: Lanes, now: step_functions.State, clear: np.ndarray, stage: int) -> None:
         """Accept lanes that a stage has brought to their target if the path to the target is clear or not checked."""
         good = clear != 0
         self._accept(
             tables.gather(lanes, good), tables.gather(now, good), Status.TRACKED_AFTER_RECOVERY, stage + 1, clear[good]
         )
-        self._enter(tables.gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
+        self._enter_stage(tables.gather(lanes, ~good), stage + 1, Status.PATH_BLOCKED)
 
-    def _come_to(self, outcome: StageOutcome) -> None:
+    def _continue_after_sampling(self, outcome: StageOutcome) -> None:
         """Continue with the outcome of a sampling stage."""
         if outcome.candidates is not None:
             self._table.queue(self._checks.linearised(outcome.candidates)[0])
         if outcome.arrived is not None:
-            self._recovered(*outcome.arrived, outcome.stage)
-        self._enter(outcome.spent, outcome.stage + 1, Status.RECOVERY_EXHAUSTED)
+            self._accept_recovered(*outcome.arrived, outcome.stage)
+        self._enter_stage(outcome.spent, outcome.stage + 1, Status.RECOVERY_EXHAUSTED)
 
-    def _continue(self, replanned: BackwardsRound) -> None:
+    def _continue_backwards(self, replanned: BackwardsRound) -> None:
         """Continue with the result of a round of planning backwards."""
         self._table.keep(replanned.going)
         self._record.finished += replanned.lost

@@ -7,6 +7,7 @@ is idle for long.
 
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from htcp_jax.clearance import ClearanceRows
 from htcp_jax.clearance.obstacles import linearisation
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import Scenario
+from htcp_jax.motion import step_functions
 
 MAIN = -1  # `candidate` of a scenario's main lane, which is not a candidate
 # Phases; the phase of a lane in a recovery stage is the stage's number. The last three are for lanes planned
@@ -70,43 +72,68 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
     )  # fmt: skip
 
 
+class ArrivedCandidates(NamedTuple):
+    """Candidates that reached their target, and their states there."""
+
+    number: np.ndarray  # number of each candidate in its scenario
+    now: step_functions.State
+
+
+@dataclass
+class PendingCandidates:
+    """A stuck scenario whose candidates are being tracked."""
+
+    lane: tuple[Lanes, np.ndarray]  # the table and the row of the stuck lane
+    stage: int  # number of the sampling stage
+    undecided: int  # number of candidates not decided yet
+    qps: int = 0  # number of step QPs solved for the candidates
+    # candidates that reached the target: tables, and their rows for this scenario
+    arrived: list[tuple[ArrivedCandidates, np.ndarray]] = field(default_factory=list)
+
+
 class Work:
-    """Scenarios not yet begun, for a number of engines, one per thread, and lanes passed to an idle engine."""
+    """Scenarios for a number of engines, one per thread.
+
+    Attributes:
+        pending: Scenarios that wait for their candidates, which any engine may track; `pending_lock` guards it.
+    """
 
     def __init__(self, scenarios: Sequence[int], engines: int):
         # Neighbouring scenarios of a grid are similar: they go to different engines, so that all get some hard ones.
         self._scenarios = iter([scenario for first in range(engines) for scenario in scenarios[first::engines]])
-        self._share, self._engines = -(-len(scenarios) // engines), engines
-        self._waiting = 0
-        self._left: list[Lanes] = []
+        self._most, self._engines = -(-len(scenarios) // engines), engines
+        self._idle = 0
+        self._shared: list[Lanes] = []  # lanes passed on and not yet taken
+        self.pending: dict[int, PendingCandidates] = {}
+        self.pending_lock = threading.Lock()
         self._changed = threading.Condition()
 
     def take(self, most: int) -> list[int]:
         """Return new scenarios, at most `most` and at most an engine's share of all scenarios."""
         with self._changed:
-            return list(islice(self._scenarios, min(most, self._share)))
+            return list(islice(self._scenarios, min(most, self._most)))
 
     @property
-    def wanted(self) -> bool:
+    def has_idle_engine(self) -> bool:
         """True if an idle engine has no work assigned."""
-        return self._waiting > len(self._left)
+        return self._idle > len(self._shared)
 
-    def leave(self, lanes: Lanes) -> None:
+    def share(self, lanes: Lanes) -> None:
         """Pass lanes to an idle engine."""
         with self._changed:
-            self._left.append(lanes)
+            self._shared.append(lanes)
             self._changed.notify_all()
 
     def wait(self) -> Lanes | None:
         """Wait for lanes from another engine; return None once no engine has any lanes."""
         with self._changed:
-            self._waiting += 1
+            self._idle += 1
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._left or self._waiting >= self._engines)
-            if not self._left:
+            self._changed.wait_for(lambda: self._shared or self._idle >= self._engines)
+            if not self._shared:
                 return None
-            self._waiting -= 1
-            return self._left.pop()
+            self._idle -= 1
+            return self._shared.pop()
 
     def end(self) -> None:
         """Deregister an engine that has ended or failed, so that no other engine waits for its lanes."""
@@ -134,8 +161,8 @@ class LaneTable:
 
     def fill(self) -> bool:
         """Pass some lanes to an idle engine, if there is one, and fill the table; return False if no work is left."""
-        if self._work.wanted:
-            self._leave()
+        if self._work.has_idle_engine:
+            self._share_lanes()
         while not self._top_up():
             lanes = self._work.wait()
             if lanes is None:
@@ -143,21 +170,21 @@ class LaneTable:
             self._queue.append(lanes)
         return True
 
-    def _leave(self) -> None:
+    def _share_lanes(self) -> None:
         """Pass half of a queued block of lanes to an idle engine; if the queue is empty, half of the table's lanes.
 
         Lanes that are planned backwards stay, as this engine has further state of them.
         """
         if self._queue:
             block = self._queue.pop()
-            self._work.leave(tables.gather(block, slice(0, None, 2)))
+            self._work.share(tables.gather(block, slice(0, None, 2)))
             if block.size > 1:
                 self._queue.append(tables.gather(block, slice(1, None, 2)))
         elif self._kept:
             lanes = tables.concatenate(self._kept)
             movable = np.flatnonzero(lanes.phase >= NEW)[1::2]
             if len(movable):
-                self._work.leave(tables.gather(lanes, movable))
+                self._work.share(tables.gather(lanes, movable))
                 self._kept = [tables.gather(lanes, ~np.isin(np.arange(lanes.size), movable))]
 
     def _top_up(self) -> bool:

@@ -17,6 +17,8 @@ from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, HasMargin, Stuc
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Bool, Float
 
+CLEAREST = 24  # number of samples that `best_nspace_samples` tracks if none is clear and on the target
+
 
 class Candidates(NamedTuple):
     """Candidates: configurations from which step QPs track the stuck target."""
@@ -89,16 +91,11 @@ def nspace_samples(
 
 
 def best_nspace_samples(
-    scene: Scene,
-    settings: Settings,
-    where: HasMargin,
-    stuck: StuckScenario,
-    step_rad: tuple[float, ...],
-    keep: int = 24,
+    scene: Scene, settings: Settings, where: HasMargin, stuck: StuckScenario, step_rad: tuple[float, ...]
 ) -> Candidates:
     """Return N-Space samples; those that are clear and on the target are `done`.
 
-    If no sample is `done`, the `keep` clearest samples are valid, and are tracked.
+    If no sample is `done`, the CLEAREST clearest samples are valid, and are tracked.
 
     Args:
         scene: Arm with its tool, obstacles and task.
@@ -106,13 +103,12 @@ def best_nspace_samples(
         where: Pose of the workpiece and the required clearance.
         stuck: The stuck scenario.
         step_rad: Lengths of the steps.
-        keep: Maximum number of samples to track.
     """
     x, near, _ = nspace_samples(scene, settings, where, stuck, step_rad)
     here = jax.vmap(lambda x: anchor(scene, settings, where, x, stuck.target))(x)
     done = near & scene.task.is_satisfied(here.clearance, here.residual, where.margin_m)
     rank = jnp.where(near & ~done, here.clearance, -jnp.inf)
-    worth = rank >= jax.lax.top_k(rank, keep)[0][-1]
+    worth = rank >= jax.lax.top_k(rank, CLEAREST)[0][-1]
     return Candidates(here.x, done | (near & worth & ~jnp.any(done)), done)
 
 

@@ -9,7 +9,6 @@ from htcp_jax import solvers
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Plans, Problem, collision_checker, step_functions
 from htcp_jax.planning.method import Method, WarmUp
-from htcp_jax.planning.tracking.candidates import PendingScenarios
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.lanes import Work, new_lanes
 from htcp_jax.planning.tracking.stages import ASCEND, DRAW, ENTER, PUSH, NullSpace, Recoveries
@@ -37,14 +36,14 @@ class StepQPs(Recoveries, Method):
         """
         plans, count = problem.empty_plans(), len(problem.scenarios.number)
         threads = min(problem.threads, count)
-        work, waiting = Work(problem.to_plan.tolist(), threads), PendingScenarios()
+        work = Work(problem.to_plan.tolist(), threads)
 
         def run(checker: CollisionChecker, _: slice) -> None:
             settings, task, (_, rows) = problem.settings, problem.task, checker.executor.sizes
             try:
                 rows = step_qp.row_count(settings, rows, task.bands)
-                solver = make_solver(settings, len(problem.robot.joint_names), rows, task.rows)
-                Engine(problem, checker, solver, self, plans, work, waiting).run()
+                solver = make_solver(settings, rows, task.rows)
+                Engine(problem, checker, solver, self, plans, work).run()
             finally:
                 work.end()
 
@@ -52,12 +51,11 @@ class StepQPs(Recoveries, Method):
         return plans
 
 
-def make_solver(settings: Settings, joints: int, rows: int, task_rows: int = 3) -> step_qp.QPSolver | None:
+def make_solver(settings: Settings, rows: int, task_rows: int = 3) -> step_qp.QPSolver | None:
     """Return the solver named by `settings.qp`; None for the solver on the device, which lane functions call.
 
     Args:
         settings: `qp`, `qp_tolerance` and `q_weights`.
-        joints: Number of joints; not used.
         rows: Number of inequality rows per step QP.
         task_rows: Number of the task's equality rows.
 

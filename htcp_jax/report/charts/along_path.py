@@ -14,16 +14,16 @@ from htcp_jax.report.charts.style import (
     INK,
     PAPER,
     QUIET,
-    blank_the_rest,
     decimal,
     heading,
     line_of,
     name_lines,
     new_figure,
     outer_labels,
+    panels_by_method,
     plain_axes,
 )
-from htcp_jax.report.charts.success import has_not_executable
+from htcp_jax.report.charts.success import dashed_note, has_not_executable
 from htcp_jax.status import Status
 
 BANDS = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
@@ -72,9 +72,7 @@ def survival(
         if cut
         else "Scenarios that track the target; a scenario ends at its first failure."
     )
-    figure = new_figure(
-        4.6, title, note + (" Dashed: targets known to be reachable." if reachability is not None else "")
-    )
+    figure = new_figure(4.6, title, " ".join([note, *dashed_note(reachability)]))
     axes = figure.subplots()
     scenarios, targets = next(iter(status.values())).shape
     if reachability is not None:
@@ -192,10 +190,7 @@ def _bands(
     values: Mapping[str, Float[np.ndarray, "S T"]], title: str, note: str, merits: Mapping[str, str], label: str
 ) -> tuple[Figure, np.ndarray]:
     """Draw values over the target's index, one panel per method; return the figure and its panels."""
-    across = min(3, len(values))
-    down = -(-len(values) // across)
-    figure = new_figure(2.35 * down + 1.1, title, note)
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    figure, panels = panels_by_method(len(values), 2.35, 1.1, title, note)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
         colour = line_of(method)[0]
         low, middle, high, least = _over_scenarios(own)
@@ -206,7 +201,6 @@ def _bands(
         heading(axes, method, merits.get(method, ""))
         plain_axes(axes)
     panels[0, 0].xaxis.set_major_locator(MaxNLocator(integer=True))
-    blank_the_rest(panels, len(values))
     outer_labels(panels, len(values), "target", label)
     return figure, panels
 
@@ -259,11 +253,8 @@ def joint_motion_by_joint(
         unit: The unit of the joints, for the label.
         title: The title of the figure.
     """
-    across = min(3, len(x))
-    down = -(-len(x) // across)
     note = "Median, middle half, middle nine tenths and longest of all steps from one target to the next."
-    figure = new_figure(down * (0.3 * len(joints) + 0.75) + 1.0, title, note)
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    figure, panels = panels_by_method(len(x), 0.3 * len(joints) + 0.75, 1.0, title, note)
     for axes, (method, values) in zip(panels.flat, x.items(), strict=False):
         for y, steps in enumerate(np.abs(np.diff(values, axis=1)).transpose(2, 0, 1)):
             _distribution(axes, y, steps, method)
@@ -274,7 +265,6 @@ def joint_motion_by_joint(
     low = min((axes.get_xlim()[0] for axes in panels.flat[: len(x)]), default=1e-4)
     panels[0, 0].set_xlim(left=max(low, 1e-5))
     decimal(panels[0, 0].xaxis)
-    blank_the_rest(panels, len(x))
     outer_labels(panels, len(x), f"joint step [{unit}]", "joint")
     return figure
 

@@ -5,23 +5,21 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from htcp_jax.report.charts.style import (
-    QUIET,
-    WIDTH,
-    blank_the_rest,
+    colour_bar,
     heading,
-    ink_on,
     line_of,
+    map_height,
     name_lines,
     new_figure,
     outer_labels,
+    panels_by_method,
     plain_axes,
 )
-from htcp_jax.report.charts.success import MOST_NUMBERS, TRACKED, Axis, frame_map, name_below
+from htcp_jax.report.charts.success import Axis, draw_map, place_values
 
 
 class Measure(NamedTuple):
@@ -44,10 +42,7 @@ def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure:
     """
     figure = new_figure(4.2, measure.title, measure.note)
     axes = figure.subplots()
-    words = isinstance(axis.values[0], str)
-    at = range(len(axis.values)) if words else axis.values
-    if words:
-        name_below(axes, axis)
+    at = place_values(axes, axis)
     for method, own in values.items():
         colour, style = line_of(method)
         axes.plot(at, own, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
@@ -71,24 +66,18 @@ def over_map(
         measure: The quantity.
         note: Text to append to the measure's note, below the title.
     """
-    across = min(3, len(values))
-    down = -(-len(values) // across)
-    side = min(WIDTH / across - 0.5, 0.6 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
-    figure = new_figure(down * (side + 0.4) + 1.3, measure.title, f"{measure.note} {note}".strip())
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    side, note = map_height(len(values), 0.6, rows.values, columns.values), f"{measure.note} {note}".strip()
+    figure, panels = panels_by_method(len(values), side + 0.4, 1.3, measure.title, note)
     scale = _colour_scale(values, measure)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
-        image = _draw_time_map(axes, own, rows, columns, scale, measure)
+        image = draw_map(
+            axes, own, scale, rows, columns, lambda _, value: (measure.form.format(value), {"fontsize": 7.5})
+        )
         mean = own[np.isfinite(own)]
         heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
-    blank_the_rest(panels, len(values))
     outer_labels(panels, len(values), columns.label, rows.label)
-    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
-    bar.outline.set_visible(False)
-    if measure.scale is not None:
-        bar.set_ticks([part * measure.scale[1] for part in (0, 0.25, 0.5, 0.75, 1)])
-    bar.set_label(measure.unit, color=QUIET, fontsize=9)
-    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
+    ticks = () if measure.scale is None else [part * measure.scale[1] for part in (0, 0.25, 0.5, 0.75, 1)]
+    colour_bar(figure, image, panels, measure.unit, ticks)
     return figure
 
 
@@ -101,14 +90,3 @@ def _colour_scale(values: Mapping[str, np.ndarray], measure: Measure) -> Normali
         return Normalize(*measure.scale)
     known = np.concatenate([own[np.isfinite(own)] for own in values.values()])
     return Normalize(min(known.min(), 0.9 * known.max()), known.max()) if known.size else Normalize(0.0, 1.0)
-
-
-def _draw_time_map(axes: Axes, values: np.ndarray, rows: Axis, columns: Axis, scale: Normalize, measure: Measure):
-    image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
-    for (row, column), value in np.ndenumerate(values):
-        if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            colour = ink_on(image.to_rgba(value))
-            place = {"ha": "center", "va": "center", "fontsize": 7.5}
-            axes.annotate(measure.form.format(value), (column, row), color=colour, **place)
-    frame_map(axes, rows, columns)
-    return image

@@ -19,8 +19,9 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from htcp_jax.placement import ranges
 from htcp_jax.report.charts.style import INK, PAPER, QUIET, new_figure, plain_axes
-from htcp_jax.report.place_tables import SearchTable, ShownParameter
+from htcp_jax.report.place_tables import SearchTable
 
 OBJECTIVE = LinearSegmentedColormap.from_list("objective", ["#a9d6c9", "#3f9fae", "#1f6396", "#12305e"])
 OBJECTIVE = OBJECTIVE.with_extremes(bad=OBJECTIVE(0.6))  # bad: unknown values, such as the cycle time without a motion
@@ -138,7 +139,7 @@ def _number_ranks(axes: Axes, ranked: Float[np.ndarray, "r 2"], points: Float[np
 
 
 def _label_axis(
-    axes: Axes, below: ShownParameter, left: ShownParameter | None, lowest: bool, first: bool, ticks: int
+    axes: Axes, below: ranges.ShownParameter, left: ranges.ShownParameter | None, lowest: bool, first: bool, ticks: int
 ) -> None:
     plain_axes(axes, grid="both")
     axes.tick_params(labelsize=8.5, colors=QUIET, labelbottom=lowest, labelleft=first)

@@ -3,16 +3,19 @@
 import colorsys
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Sized
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 INK, QUIET, RULE, PAPER = "#22303c", "#5d6b77", "#dfe3e6", "#ffffff"
 WIDTH = 10.0  # width of every figure [inch]
+ACROSS = 3  # maximum number of panels next to each other
 
 LINES = {
     "baseline": ("#5a5a5a", "-"),
@@ -106,10 +109,56 @@ def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
     axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
 
 
-def blank_the_rest(panels, used: int) -> None:
-    """Hide all panels after the first `used` ones."""
-    for axes in panels.flat[used:]:
+def panels_by_method(count: int, row: float, rest: float, title: str, note: str) -> tuple[Figure, np.ndarray]:
+    """Make a figure with one panel per method, ACROSS next to each other, and return it with its panels.
+
+    Args:
+        count: The number of methods.
+        row: Height of a row of panels [inch].
+        rest: Height of everything else [inch].
+        title: The title of the figure.
+        note: One line below the title on how to read the figure.
+
+    Returns:
+        The figure, and its panels (rows, columns); panels after the last method are blank.
+    """
+    down = -(-count // ACROSS)
+    figure = new_figure(down * row + rest, title, note)
+    panels = figure.subplots(down, min(ACROSS, count), squeeze=False, sharex=True, sharey=True)
+    for axes in panels.flat[count:]:
         axes.axis("off")
+    return figure, panels
+
+
+def map_height(count: int, cell: float, rows: Sized, columns: Sized) -> float:
+    """Return the height of a map, one of several next to each other [inch].
+
+    Args:
+        count: The number of maps.
+        cell: Largest width of a column [inch].
+        rows: The rows of the map.
+        columns: The columns of the map.
+    """
+    width = min(WIDTH / min(ACROSS, count) - 0.5, cell * len(columns) + 0.7)
+    return width * len(rows) / len(columns)
+
+
+def colour_bar(figure: Figure, image: ScalarMappable, panels: np.ndarray, label: str, ticks: Sequence[float]) -> None:
+    """Draw the colour scale at the right of all panels.
+
+    Args:
+        figure: The figure.
+        image: The image with the scale.
+        panels: The panels.
+        label: Label of the scale.
+        ticks: Values to mark; empty: chosen by matplotlib.
+    """
+    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
+    bar.outline.set_visible(False)
+    if len(ticks):
+        bar.set_ticks(ticks)
+    bar.set_label(label, color=QUIET, fontsize=9)
+    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
 
 
 def outer_labels(panels, used: int, below: str, left: str) -> None:

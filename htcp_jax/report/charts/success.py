@@ -1,13 +1,14 @@
 """Charts of tracked and executable targets: by method, and by scenario over the grid. See `charts`."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
 
 from htcp_jax.report.charts.style import (
@@ -15,13 +16,15 @@ from htcp_jax.report.charts.style import (
     PAPER,
     QUIET,
     WIDTH,
-    blank_the_rest,
+    colour_bar,
     heading,
     ink_on,
     line_of,
+    map_height,
     name_lines,
     new_figure,
     outer_labels,
+    panels_by_method,
     plain_axes,
 )
 
@@ -121,16 +124,13 @@ def success_map(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    across = min(3, len(tracked))
-    down = -(-len(tracked) // across)
-    side = min(WIDTH / across - 0.5, 0.42 * len(columns.values) + 0.7) * len(rows.values) / len(columns.values)
-    figure = new_figure(down * (side + 0.4) + 1.3, title, f"{_counted(tracked, shown, targets)} {note}".strip())
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    side = map_height(len(tracked), 0.42, rows.values, columns.values)
+    note = f"{_counted(tracked, shown, targets)} {note}".strip()
+    figure, panels = panels_by_method(len(tracked), side + 0.4, 1.3, title, note)
     for axes, method in zip(panels.flat, tracked, strict=False):
         image = _draw_map(axes, shown[method], tracked[method], rows, columns, targets)
         share = _percent_pair(shown[method], tracked[method], targets)
         heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
-    blank_the_rest(panels, len(tracked))
     outer_labels(panels, len(tracked), columns.label, rows.label)
     _draw_colour_bar(figure, image, panels, targets, has_not_executable(tracked, shown))
     return figure
@@ -201,19 +201,12 @@ def success_line(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    lines = (
-        ""
-        if not has_not_executable(tracked, shown)
-        else "Line: targets to which a proven motion leads from the start; faint: tracked targets."
-    )
-    figure = new_figure(
-        4.2, title, " ".join(filter(None, (f"Tracked targets of {targets}.", lines, note, *_dashed(reachability))))
-    )
+    lines = "Line: targets to which a proven motion leads from the start; faint: tracked targets."
+    lines = lines if has_not_executable(tracked, shown) else ""
+    notes = f"Tracked targets of {targets}.", lines, note, *dashed_note(reachability)
+    figure = new_figure(4.2, title, " ".join(filter(None, notes)))
     axes = figure.subplots()
-    words = isinstance(axis.values[0], str)
-    at = range(len(axis.values)) if words else axis.values
-    if words:
-        name_below(axes, axis)
+    at = place_values(axes, axis)
     if reachability is not None:
         axes.plot(at, reachability, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for method, values in shown.items():
@@ -230,15 +223,21 @@ def success_line(
     return figure
 
 
-def name_below(axes: Axes, axis: Axis) -> None:
-    """Write an axis's values below a line, upwards if they would overlap.
+def place_values(axes: Axes, axis: Axis) -> Sequence[float]:
+    """Return the positions of an axis's values below a line; texts are written there, upwards if they would overlap.
 
     Args:
         axes: The axes of the line.
-        axis: The axis, whose values are texts.
+        axis: The axis.
+
+    Returns:
+        The positions, in the unit of the axis; 0, 1, ... for texts.
     """
+    if not isinstance(axis.values[0], str):
+        return axis.values
     upwards = len(axis.names) * max(map(len, axis.names)) > LINE_CHARACTERS
     axes.set_xticks(range(len(axis.names)), axis.names, rotation=90 if upwards else 0)
+    return range(len(axis.names))
 
 
 def _draw_map(
@@ -259,14 +258,40 @@ def _draw_map(
         columns: The axis of the columns.
         targets: Number of targets in a scenario.
     """
-    image = axes.imshow(values, cmap=TRACKED, norm=Normalize(0, targets), aspect="equal")
-    for (row, column), value in np.ndenumerate(values):
+
+    def text_of(cell, value):
+        more = whole[cell]
+        text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
+        weight = "bold" if value == targets else "normal"
+        return text, {"fontsize": 8 if more == value else 7, "fontweight": weight}
+
+    return draw_map(axes, values, Normalize(0, targets), rows, columns, text_of)
+
+
+def draw_map(
+    axes: Axes,
+    values: Float[np.ndarray, "R C"],
+    scale: Normalize,
+    rows: Axis,
+    columns: Axis,
+    text_of: Callable[[tuple[int, ...], float], tuple[str, dict[str, Any]]],
+) -> AxesImage:
+    """Draw a map, with a text in every cell if there is space, and return its image.
+
+    Args:
+        axes: The panel.
+        values: Value of each cell, in the unit of the scale; NaN: blank.
+        scale: The colour scale.
+        rows: The axis of the rows.
+        columns: The axis of the columns.
+        text_of: Function that returns the text of a cell and its style, for the indices of the cell and its value
+            [in the unit of the scale].
+    """
+    image = axes.imshow(values, cmap=TRACKED, norm=scale, aspect="equal")
+    for cell, value in np.ndenumerate(values):
         if np.isfinite(value) and max(values.shape) <= MOST_NUMBERS:
-            style = {"color": ink_on(image.to_rgba(value)), "ha": "center", "va": "center", "fontsize": 8}
-            more = whole[row, column]
-            text = _short_number(value) if more == value else f"{_short_number(value)}\n({_short_number(more)})"
-            style["fontsize"] = 8 if more == value else 7
-            axes.annotate(text, (column, row), fontweight="bold" if value == targets else "normal", **style)
+            text, style = text_of(cell, value)
+            axes.annotate(text, cell[::-1], color=ink_on(image.to_rgba(value)), ha="center", va="center", **style)
     frame_map(axes, rows, columns)
     return image
 
@@ -293,11 +318,8 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
 
 
 def _draw_colour_bar(figure: Figure, image, panels, targets: int, cut: bool) -> None:
-    bar = figure.colorbar(image, ax=panels, fraction=0.02, pad=0.015, aspect=30)
-    bar.outline.set_visible(False)
-    bar.set_ticks(sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)}))
-    bar.set_label("executable targets" if cut else "tracked targets", color=QUIET, fontsize=9)
-    bar.ax.tick_params(colors=QUIET, labelsize=9, length=0)
+    ticks = sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)})
+    colour_bar(figure, image, panels, "executable targets" if cut else "tracked targets", ticks)
 
 
 def _short_number(value: float) -> str:
@@ -338,8 +360,9 @@ def _mean_percent(values: Float[np.ndarray, "*n"], targets: int) -> str:
 def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
     parts = ["Pale: tracked, but not executable."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
-    return " ".join([*parts, *_dashed(reachability)])
+    return " ".join([*parts, *dashed_note(reachability)])
 
 
-def _dashed(reachability: object) -> list[str]:
+def dashed_note(reachability: object) -> list[str]:
+    """Return the note on the dashed line of reachable targets; [] if reachability is None."""
     return [] if reachability is None else ["Dashed: targets known to be reachable."]

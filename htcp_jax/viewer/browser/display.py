@@ -34,9 +34,8 @@ class DisplayOptions:
         closer.on_click(self._look_closer)
         back = gui.add_button("Show everything", icon=viser.Icon.ZOOM_OUT)
         back.on_click(self._look_back)
-        self._from_part = gui.add_checkbox(
-            "View relative to the part", False, visible=False
-        )  # visible if the part moves
+        # visible if the part moves
+        self._from_part = gui.add_checkbox("View relative to the part", False, visible=False)
         self._from_part.on_update(lambda _: self._turn())
         with gui.add_folder("Workpiece"):
             self._side = gui.add_dropdown("Cut from", SIDES, initial_value=SIDES[0])

@@ -24,14 +24,15 @@ from htcp_jax.viewer.replay import Replay, Replays
 WAITING_S = 0.1  # polling interval while paused
 KEY_S = 0.5  # time after a move of the slider in which the page ignores arrow keys, as the slider handles them
 
-
-PlanPrograms = Callable[
-    [int, str], PlanProgram
-]  # function that returns the robot program for a scenario's number and a method
+# Function that returns the robot program for a scenario's number and a method.
+PlanPrograms = Callable[[int, str], PlanProgram]
 
 
 class Viewer:
     """A running viewer of plans; call `stop` to end it.
+
+    `address` is the page's address, `server` the viser server, to which a caller can add scene nodes and panel
+    elements, `stage` the 3D scene, and `plots` the plots of the panel.
 
     Args:
         replays: The plans.
@@ -62,9 +63,9 @@ class Viewer:
         first = next((end for end in outcomes if programs and end.can_be_driven), outcomes[0])
         replay = replays.replay(first.scenario if scenario is None else scenario, method)
         timeline = ByTime(programs(replay.number, method)) if programs else ByTarget(replay)
-        self._server, self.address = serve(host, port)
+        self.server, self.address = serve(host, port)
         self._ended = threading.Event()
-        self._stage = BrowserScene(self._server)
+        self.stage = BrowserScene(self.server)
         self._build(replay)
         self._show(replay, timeline)
         threading.Thread(target=self._play, name="htcp view: play", daemon=True).start()
@@ -88,20 +89,10 @@ class Viewer:
             return self._replay.number, self._replay.method
 
     @property
-    def stage(self) -> BrowserScene:
-        """The 3D scene."""
-        return self._stage
-
-    @property
     def facts(self) -> str:
         """Text on the displayed target, in Markdown."""
         with self._lock:
             return self._facts.content
-
-    @property
-    def server(self) -> viser.ViserServer:
-        """The viser server, to which a caller can add scene nodes and panel elements."""
-        return self._server
 
     def wait(self) -> None:
         """Block until the viewer is stopped."""
@@ -112,12 +103,12 @@ class Viewer:
         with self._lock:
             self._ended.set()
         with silent():
-            self._server.stop()
+            self.server.stop()
 
     # The panel
 
     def _build(self, replay: Replay) -> None:
-        gui = self._server.gui
+        gui = self.server.gui
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(31, 111, 180))
         gui.set_panel_label(f"htcp view {self._replays.name}")
         gui.main_panel.dock_right()
@@ -128,8 +119,8 @@ class Viewer:
         self._facts = gui.add_markdown("")
         self._playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._rate: viser.GuiDropdownHandle | None = None
-        self._plots = Plots(gui, self._playing.order + 0.2)
-        self._display = DisplayOptions(self._server, self._stage, self._lock)
+        self.plots = Plots(gui, self._playing.order + 0.2)
+        self._display = DisplayOptions(self.server, self.stage, self._lock)
         self._method.on_update(lambda _: self._pick_method())
         self._scenario.on_update(lambda _: self._pick_scenario())
         self._playing.on_click(lambda _: self.toggle())
@@ -168,17 +159,17 @@ class Viewer:
     # The displayed plan
 
     def _show(self, replay: Replay, timeline: Timeline) -> None:
-        with self._lock, self._server.atomic():
+        with self._lock, self.server.atomic():
             self._replay, self._timeline, self._target = replay, timeline, -1
             self._play_or_pause(False)
             self._display.show(replay, timeline.passed)
-            self._plots.show(replay, timeline.curves)
+            self.plots.show(replay, timeline.curves)
             self._show_timeline()
             self.go_to(0)
 
     def _show_timeline(self) -> None:
         """Replace the slider and the list of playback rates by those of the current timeline."""
-        gui, timeline, order = self._server.gui, self._timeline, self._facts.order
+        gui, timeline, order = self.server.gui, self._timeline, self._facts.order
         for each in (self._slider, self._rate):
             if each is not None:
                 each.remove()
@@ -202,15 +193,15 @@ class Viewer:
         Args:
             place: A target index, fractional between two targets; for a robot program, a time [s].
         """
-        with self._lock, self._server.atomic():
+        with self._lock, self.server.atomic():
             self._place = float(min(place, self._timeline.last))
             pose, reported = self._timeline.look(self._place)
             if (target := max(pose.target, 0)) != self._target:
                 self._target = target
-                self._stage.pose(target)
-                self._plots.at_target(target)
-            self._stage.move(pose)
-            self._plots.at_time(self._place)
+                self.stage.pose(target)
+                self.plots.at_target(target)
+            self.stage.move(pose)
+            self.plots.at_time(self._place)
             self._facts.content = "\n\n".join(filter(None, (reported, target_facts(self._replay, target))))
             self._slider.value = self._timeline.on_slider(self._place)
 

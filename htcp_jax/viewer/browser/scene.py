@@ -41,10 +41,8 @@ LEADER_M = 0.12  # length of the line from the clearance's minimum up to its lab
 DWELL_M = 0.018  # edge length of the cube at a dwell
 LIT = 0.72  # factor on colours that compensates viser's lights
 LIGHT_UP = 0.8  # upward component added to the light's direction, which points to the open side
-AROUND_M, AROUND_SIZE_M = (
-    0.05,
-    0.0015,
-)  # radius and point size of the cloud around the nearest points, shown even if cut off
+# Radius and point size of the cloud around the nearest points, shown even if cut off.
+AROUND_M, AROUND_SIZE_M = 0.05, 0.0015
 PART = "/part"  # parent node of all objects that move with the part
 ROUND = 72, 72  # numbers of facets of a capsule, about its axis and along its ends
 
@@ -89,7 +87,7 @@ class BrowserScene:
             self._scene.reset()
             self._replay = replay
             self._part = self._scene.add_frame(PART, show_axes=False)
-            self._arm = [self._body(k, opacity) for k in range(replay.p.shape[1] + 1)]
+            self._arm = [self._body(k, opacity) for k in range(replay.shape.p.shape[1] + 1)]
             self._add_targets()
             self._marks = self._add_marks()
             self._add_floor()
@@ -255,17 +253,12 @@ class BrowserScene:
             words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm sampled"
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
+            leader, thin = np.stack([narrow.cloud, label_at])[None], {"thickness": 1, "thickness_units": "screen"}
             ball = {"radius": MINIMUM_M, "color": compensated(NEAREST), "cast_shadow": False}
             marks += [
                 self._scene.add_icosphere(f"{PART}/motion/minimum", position=narrow.cloud, **ball),
                 self._scene.add_label(f"{PART}/motion/minimum label", words, position=label_at, anchor="bottom-left"),
-                self._scene.add_line_segments(
-                    f"{PART}/motion/minimum leader",
-                    np.stack([narrow.cloud, label_at])[None],
-                    rgb(NEAREST),
-                    thickness=1,
-                    thickness_units="screen",
-                ),
+                self._scene.add_line_segments(f"{PART}/motion/minimum leader", leader, rgb(NEAREST), **thin),
             ]
         return marks
 

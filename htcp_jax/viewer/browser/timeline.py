@@ -12,9 +12,8 @@ from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import Curves, arms_of, sample_program
 
-MOST_BETWEEN = (
-    4  # number of configurations that share a target's time; a segment with more, such as a dwell, takes longer
-)
+# Number of configurations that share a target's time; a segment with more, such as a dwell, takes longer.
+MOST_BETWEEN = 4
 TICK_S = 0.05  # time between frames of a robot program
 SHOWN_PER_SECOND = 60  # number of the program's configurations that the camera has in view
 
@@ -59,7 +58,6 @@ class ByTarget:
             passed_s: Time since the last frame; not used, as no configuration is skipped.
             rate: Playback rate; not used.
         """
-        del passed_s, rate
         return float(self._places[min(self._row(place) + 1, len(self._places) - 1)])
 
     def pause_s(self, place: float, rate: float) -> float:
@@ -102,7 +100,6 @@ class ByTime:
 
     def pause_s(self, place: float, rate: float) -> float:
         """Return the pause until the next frame [s]."""
-        del place, rate
         return TICK_S
 
 
