@@ -21,7 +21,7 @@ from htcp_jax.motion.step_functions import ADVANCE, STEPS_PER_CHUNK
 from htcp_jax.planning.methods import find
 from htcp_jax.planning.tracking import Engine
 from htcp_jax.planning.tracking.candidates import nearest
-from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes, LaneTable
+from htcp_jax.planning.tracking.lanes import DRAWING, NEW, TRACK, Lanes, LaneTable, Work
 from htcp_jax.planning.tracking.stages import ENTER
 from htcp_jax.solvers import ClarabelSolver
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus
