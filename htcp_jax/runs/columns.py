@@ -112,7 +112,7 @@ FORMATS = {  # by unit, or of single columns; columns without a format contain t
     **dict.fromkeys(("begin_mm", "end_mm", "volume_ratio", "percent", "share"), ".2f"),
     **dict.fromkeys(("cycle_mean_s", "speed_ratio_max"), ".3f"),
     **dict.fromkeys(("excess_mm", "outside_mm"), ".1f"),
-    **dict.fromkeys(("off", "most"), ".4g"),
+    **dict.fromkeys(("off", "most", "tcp_error_max_mm"), ".4g"),
     "difference": "+,d",
     "median_target": ".0f",
     "p": ".2g",
