@@ -25,7 +25,7 @@ from benchmarks import hardware
 from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
 from htcp_jax.io.cell import load_cell
 from htcp_jax.io.robots.loading import load_robot
@@ -113,7 +113,7 @@ def read(model: str, folder: Path) -> Path:
 def compare(file: Path, folder: Path, count: int) -> list[Compared]:
     """Compare every kind of shape, and pairs of the arm's capsules, at `count` configurations."""
     arm, robot = MujocoArm(file), load_robot(file)
-    (fixed,), own = make_fixtures(robot, load_cell(write_cell(folder, SOLID))), self_collision(robot)
+    (fixed,), own = make_fixtures(robot, load_cell(write_cell(folder, SOLID))), make_self_collision(robot)
     x = drawn(robot, count)
     ours, pairs = np.asarray(shape_distances(robot, fixed, jnp.asarray(x))), distances(robot, own.pairs, x)
     theirs, their_pairs = _theirs(arm, write_cell(folder, AS_MESH), fixed.names, own.pairs, x)

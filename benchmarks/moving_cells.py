@@ -25,7 +25,7 @@ from benchmarks.cell_distances import FAR_M, WEDGE, Compared, Ring, compared
 from htcp_jax.caching import cache_folder
 from htcp_jax.clearance import clearance
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
 from htcp_jax.io.cell import load_cell
 from htcp_jax.jobs import build, load_config
@@ -122,7 +122,7 @@ def compare(cell: Cell, folder: Path, count: int) -> tuple[list[Compared], Ring]
     config = load_config(cell.job)
     robot = build.robot_of(config.robot, config.cell, config.tree)
     files = [cell_distances.write_cell(folder, box) for box in (cell_distances.SOLID, cell_distances.AS_MESH)]
-    (fixed,), own = make_fixtures(robot, load_cell(files[0])), self_collision(robot)
+    (fixed,), own = make_fixtures(robot, load_cell(files[0])), make_self_collision(robot)
     pairs, links = np.array(own.pairs), np.array(robot.capsule_link)
     is_standing = (links[pairs] == robot.world.link).any(axis=1)
     x = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, len(robot.slides)))

@@ -442,8 +442,10 @@ def plan_job(
         job, robot, workpiece, scenario = jobs.build.resolved_scene(job, source)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
         task, execution = jobs.build.task_of_job(job, robot), Execution(device)
-        made = robot, workpiece, scenario, job.settings, task, all_obstacles, execution
-        plans = batch.plan(Problem.of(*made, check_starts=True), chosen, progress)
+        problem = Problem.of(
+            robot, workpiece, scenario, job.settings, task, all_obstacles, execution, check_starts=True
+        )
+        plans = batch.plan(problem, chosen, progress)
         robot, scenario = scenario_setup.with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 

@@ -102,7 +102,6 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
     return np.asarray(x) + np.random.default_rng(seed).uniform(-width, width, (count, len(x)))
 
 
-@cache
 def prove(scene, where, a, b, tube=None, resolution_m=-ROUNDING_M, deepest=DEEPEST, kept=0.0) -> Proof:
     """Proof or refutation of one straight joint path, by queries one after the other."""
     query = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
@@ -120,6 +119,7 @@ def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -
     return [(key[0], executable) for key, executable in executables._compiled.items() if key[0] in lane_functions]
 
 
+@cache
 def in_rows(function: Callable, count: int) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
     compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))

@@ -39,10 +39,10 @@ def poses():
     )
 
 
-def in_duct(scenarios, settings=SMALL, checks=True, **execution) -> Problem:
+def in_duct(scenarios, settings=SMALL, check_paths=True, **execution) -> Problem:
     """Problem of scenarios in the duct; `execution`: of an `Execution`."""
     made = made_once.robot(), made_once.duct(), scenarios, settings
-    return Problem.of(*made, execution=Execution(**execution), check_paths=checks)
+    return Problem.of(*made, execution=Execution(**execution), check_paths=check_paths)
 
 
 def plan_by_beam(*of, **more):

@@ -325,7 +325,7 @@ def test_nobody_looks_beyond_a_failure_or_where_nobody_is_asked_to():
         changed.segment_status[0, 10:] == SegmentStatus.NOT_CHECKED
     ).all()
     assert changed.outcome(0).executable == 10
-    assert (plan_by_beam([first_of(one, 5)], checks=False).segment_status == SegmentStatus.NOT_CHECKED).all()
+    assert (plan_by_beam([first_of(one, 5)], check_paths=False).segment_status == SegmentStatus.NOT_CHECKED).all()
 
 
 def test_what_another_method_makes_is_verified_as_well():

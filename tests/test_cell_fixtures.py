@@ -16,7 +16,7 @@ from made_once import prove
 import htcp_jax
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.errors import InputError, Note
 from htcp_jax.jobs import build, load_config
@@ -123,7 +123,7 @@ def test_a_fixture_without_a_name_has_the_same_one_for_planner_and_validation(ar
 def test_a_box_on_a_link_is_tested_against_other_links_except_those_that_it_excludes(arm, cell):
     def pairs(*excluded) -> set[tuple[str, str]]:
         robot = build.robot_of(arm, cell({"name": "camera", "parent": "elbow", "exclude": excluded}))
-        return {tuple(robot.capsule_names[k] for k in pair) for pair in self_collision(robot).pairs}
+        return {tuple(robot.capsule_names[k] for k in pair) for pair in make_self_collision(robot).pairs}
 
     own = {("tool", "camera_1"), ("tool", "camera_2"), ("camera_1", "foot"), ("camera_2", "foot")}
     assert own <= pairs() and not own & pairs("hand", "plinth")

@@ -8,7 +8,7 @@ import pytest
 import toy
 from test_moving_part import ARM, HEAD, TABLE, TCP, by_chain, cell_of, composed_in, in_mujoco, job_in
 
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.cli.main import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LinkMeshes, load_robot
@@ -98,7 +98,7 @@ def test_a_models_own_list_convex_pieces_and_joint_speeds_hold_in_the_composed_c
     alone, robot = load_robot(tmp_path / "arm.xml"), robot_of(models)
     excluded = {tuple(sorted((robot.capsule_names[a], robot.capsule_names[b]))) for a, b, *_ in robot.exclusions}
     assert excluded == {("tip", "trunk"), ("boom", "tip")}
-    found = self_collision(robot)
+    found = make_self_collision(robot)
     checked = {frozenset((robot.capsule_names[a], robot.capsule_names[b])) for a, b in found.pairs}
     assert {"trunk", "boom"} in checked  # adjacent and overlapping, but the arm's list does not exclude it
     assert {"positioner.plate", "tip"} in checked

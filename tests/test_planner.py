@@ -155,7 +155,7 @@ def test_on_a_cpu_a_kernel_is_one_native_function():
 
 def test_an_unchecked_path_is_unknown():
     unchecked = replace(toy.SETTINGS, path_check="none")
-    assert (toy.planned(method="baseline", settings=unchecked, checks=False).path_clear == -1).all()
+    assert (toy.planned(method="baseline", settings=unchecked, check_paths=False).path_clear == -1).all()
 
 
 def test_scenarios_of_different_lengths_and_tools_share_a_batch():
@@ -173,7 +173,7 @@ def test_scenarios_of_different_lengths_and_tools_share_a_batch():
 
 def test_progress_counts_up_to_everything_that_was_done():
     heard = []
-    plans = toy.planned(method="baseline", progress=heard.append, threads=2, checks=False)
+    plans = toy.planned(method="baseline", progress=heard.append, threads=2, check_paths=False)
     last, several = heard[-1], toy.scenarios()
     assert last.scenarios_done == last.scenarios == len(several)
     assert last.targets == sum(int(one.count) for one in several)

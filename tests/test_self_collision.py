@@ -17,7 +17,7 @@ from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
-from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, self_collision
+from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, samples
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
@@ -54,7 +54,7 @@ def mujoco_distances(model: mujoco.MjModel, pairs, configurations) -> np.ndarray
 @pytest.mark.parametrize("name", ["gp50", "seven", "rail"])
 def test_the_distances_of_pairs_are_mujocos(name, tmp_path):
     robot, model = arm(name, tmp_path)
-    own, configurations = self_collision(robot), made_once.configurations(robot, 300)
+    own, configurations = make_self_collision(robot), made_once.configurations(robot, 300)
     ours = jax.jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(configurations)
     theirs = mujoco_distances(model, own.pairs, configurations)
     crossing = theirs < -0.99 * np.asarray(robot.capsule_radius)[np.array(own.pairs)].sum(axis=1)  # axis through axis
@@ -150,7 +150,7 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
 
 def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_refuted_one_does_not(tmp_path):
     robot, model = arm("seven", tmp_path)
-    own, where, rng = self_collision(robot), made_once.nominal(), np.random.default_rng(0)
+    own, where, rng = make_self_collision(robot), made_once.nominal(), np.random.default_rng(0)
     proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b))
     verdicts = []
     for a in made_once.configurations(robot, 24):
@@ -169,7 +169,7 @@ def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_re
 def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
     """Rotation of the base: a single clearance query proves it, as both bodies of each pair move along."""
     robot, _ = arm("seven", tmp_path)
-    own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if robot.capsule_link[pair[1]] >= 0))
+    own = SelfCollision(tuple(pair for pair in make_self_collision(robot).pairs if robot.capsule_link[pair[1]] >= 0))
     x = jnp.array([0.0, 0.3, 0.0, 0.3, 0.0, 0.3, 0.0])
     found = prove(Scene(robot, (own,)), made_once.nominal(), x, x + jnp.eye(7)[0] * 3.0)
     assert found.verdict == PathVerdict.VALID and found.queries == 1
@@ -177,7 +177,7 @@ def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
 
 def test_the_gradient_of_a_pair_is_that_of_its_distance(tmp_path):
     robot, _ = arm("seven", tmp_path)
-    own, where, h = (self_collision(robot),), made_once.nominal(), 1e-6
+    own, where, h = (make_self_collision(robot),), made_once.nominal(), 1e-6
     value = jax.jit(partial(clearances, robot, own, where))
     rows = jax.jit(partial(clearance_rows, robot, own, where))
     odd = 0
@@ -226,7 +226,7 @@ def test_pairs_are_checked_unless_the_model_excludes_them_or_they_nearly_always_
     file = tmp_path / "chain.xml"
     file.write_text(CHAIN.format(size=size, more=more))
     robot = load_robot(file)
-    own = self_collision(robot)
+    own = make_self_collision(robot)
     assert named(robot, own.pairs) == pairs.split()
     assert dict(zip(named(robot, own.excluded), [each.rule for each in own.excluded], strict=True)) == excluded
     assert own.described(robot).startswith(f"{len(own.pairs)} pairs of bodies")
@@ -238,7 +238,7 @@ def test_the_warning_of_a_pair_with_the_tool_that_is_not_checked_gives_reason_an
     tool = dataclasses.replace(robot, mounted=(robot.capsule_names.index("C"),))
     words = "D and C; the capsules overlap, .* at least 95 % of the sampled .* begin the tool's .*farther"
     with pytest.warns(UserWarning, match=words):
-        self_collision(tool)
+        make_self_collision(tool)
 
 
 def test_a_pair_that_is_always_1_mm_apart_is_not_checked():
@@ -247,7 +247,7 @@ def test_a_pair_that_is_always_1_mm_apart_is_not_checked():
     pair = robot.capsule_names.index("holder"), robot.capsule_names.index("wrist")
     away = distances(robot, [pair], samples(robot))
     assert np.ptp(away) < 1e-12 and 1e-3 < away.max() < 1e-3 + 1e-12
-    own = self_collision(robot)
+    own = make_self_collision(robot)
     assert pair not in own.pairs and pair in {(each.first, each.second) for each in own.excluded}
 
 
@@ -260,7 +260,8 @@ def test_without_meshes_adjacent_links_that_overlap_in_some_configurations_are_n
     own = CHAIN.replace('<body name="c"', folded + '<body name="c"').replace('range="-2 2"', 'range="-2.9 2.9"')
     (tmp_path / "chain.xml").write_text(own.format(size=0.1, more=RADIAN))
     robot = load_robot(tmp_path / "chain.xml")
-    rules = dict(zip(named(robot, self_collision(robot).excluded), self_collision(robot).excluded, strict=True))
+    excluded = make_self_collision(robot).excluded
+    rules = dict(zip(named(robot, excluded), excluded, strict=True))
     assert rules["GA"].rule == "c" and 0 < rules["GA"].share < 0.5 and "EB" not in rules
 
 
@@ -274,7 +275,7 @@ def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
     (tmp_path / "chain.xml").write_text(CHAIN.format(size=0.1, more="").replace(first, "".join([first, *more])))
     robot, where = load_robot(tmp_path / "chain.xml"), made_once.nominal()
     link, radius = robot.capsule_link, np.asarray(robot.capsule_radius)
-    own = SelfCollision(tuple(pair for pair in self_collision(robot).pairs if link[pair[0]] > link[pair[1]] + 1))
+    own = SelfCollision(tuple(pair for pair in make_self_collision(robot).pairs if link[pair[0]] > link[pair[1]] + 1))
     rows = own.rows(robot)
     assert len(own.pairs) == 11 and len(rows.body) == 5 and set(rows.other) == {0, 1}
     for x in map(jnp.asarray, np.random.default_rng(0).uniform(-2, 2, (10, 4))):
@@ -294,7 +295,7 @@ def test_what_a_model_excludes_is_handed_on_to_an_imported_arm(tmp_path):
     (tmp_path / "arm.xml").write_text(arm_xml(import_robot(tmp_path / "chain.xml"), "chain.xml"))
     there, here = (load_robot(tmp_path / name) for name in ("chain.xml", "arm.xml"))
     assert named(there, there.exclusions) == named(here, here.exclusions) == ["DA", "EA"]
-    assert self_collision(there) == self_collision(here)
+    assert make_self_collision(there) == make_self_collision(here)
 
 
 def test_an_arm_of_neighbours_alone_has_nothing_to_keep_apart(tmp_path):
@@ -303,4 +304,4 @@ def test_an_arm_of_neighbours_alone_has_nothing_to_keep_apart(tmp_path):
     parts = [body.format(0, ""), body.format(0.2, '<geom type="sphere" size="0.15"/>'), body.format(0.2, "")]
     end = '<geom type="sphere" size="0.15"/><site name="tcp"/>' + "</body>" * 3
     file.write_text(f"<mujoco><worldbody>{''.join(parts)}{end}</worldbody></mujoco>")
-    assert self_collision(load_robot(file)) is None
+    assert make_self_collision(load_robot(file)) is None

@@ -16,7 +16,7 @@ from published import path_of
 from scipy.spatial import cKDTree
 
 import htcp_jax
-from htcp_jax.clearance.obstacles.self_collision import self_collision
+from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import NEAR_M, candidates, distances, overlaps, samples
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
@@ -81,7 +81,7 @@ def imported(tmp_path):
 
 def rules(robot) -> dict[tuple[str, str], str]:
     names = robot.capsule_names
-    return {tuple(sorted((names[a], names[b]))): rule for a, b, rule, _ in self_collision(robot).excluded}
+    return {tuple(sorted((names[a], names[b]))): rule for a, b, rule, _ in make_self_collision(robot).excluded}
 
 
 def with_pair(arm, rule: str, one: str = "c", other: str = "a") -> None:
@@ -156,7 +156,7 @@ def test_a_pair_that_is_always_nearer_than_any_margin_is_not_checked(tmp_path):
     arm = tmp_path / "arm.xml"
     arm.write_text(f'<mujoco><worldbody>{bodies}<site name="tcp" pos="0.1 0 0"/>{4 * "</body>"}</worldbody></mujoco>')
     robot = load_robot(arm)
-    own, names = self_collision(robot), robot.capsule_names
+    own, names = make_self_collision(robot), robot.capsule_names
     assert {(names[a], names[b]): (rule, share) for a, b, rule, share in own.excluded} == {("b", "a"): ("b", 1.0)}
     assert len(own.pairs) == 5
 

@@ -83,10 +83,10 @@ def scenarios() -> tuple[Scenario, ...]:
     )
 
 
-def problem(of=None, settings: Settings = SETTINGS, part=None, checks: bool = True, **execution) -> Problem:
+def problem(of=None, settings: Settings = SETTINGS, part=None, check_paths: bool = True, **execution) -> Problem:
     """Problem of scenarios, by default of all, at the shelf or another part; `execution`: of an `Execution`."""
     made = robot(), part or workpiece(), scenarios() if of is None else of, settings
-    return Problem.of(*made, execution=Execution(**execution), check_paths=checks)
+    return Problem.of(*made, execution=Execution(**execution), check_paths=check_paths)
 
 
 def planned(of=None, method: str = "beam", settings: Settings = SETTINGS, progress=None, **more) -> Plans:

@@ -156,7 +156,7 @@ def convert(
             text = mjcf.arm_xml(arm, source, listed)
             output_files.write_text(folder / out.name, text)
             made = robots.load_robot(folder / out.name, fewest_joints=1)
-            own = self_collision.self_collision(made)
+            own = self_collision.make_self_collision(made)
             carried = "" if arm.part is None else f", part on {arm.part}"
             shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
             title = f"{made.name}: {shown}"

@@ -4,8 +4,8 @@ One executable computes any number of lanes, and a lane's result does not depend
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -81,6 +81,65 @@ class Slots(NamedTuple):
     going: Bool[jax.Array, "width"]  # True while the lane's loop continues
 
 
+@dataclass(frozen=True, eq=False)
+class SlotLoops:
+    """Loops of lanes in slots: a function that returns a `Loop`, and the tables of its arguments."""
+
+    function: Callable  # of (scene, *one lane)
+    scene: Any
+    lanes: jax.Array  # number of lanes, a scalar
+    tables: tuple
+    width: int  # number of slots
+
+    @property
+    def capacity(self) -> int:
+        """Number of rows of the tables."""
+        return jax.tree.leaves(self.tables)[0].shape[0]
+
+    def empty_slots(self) -> Slots:
+        """Return slots without lanes; their contents are those of the first lane."""
+        lane = jax.tree.map(lambda t: jnp.broadcast_to(t[0], (self.width, *t.shape[1:])), self.tables)
+        state = self.begin(lane)
+        return Slots(jnp.full(self.width, self.capacity, jnp.int32), lane, state, jnp.zeros(self.width, bool))
+
+    def begin(self, lane: Any) -> Any:
+        """Return the initial states."""
+        return jax.vmap(lambda lane: jax.tree.map(jnp.asarray, self.function(self.scene, *lane).state))(lane)
+
+    def call(self, part: str, lane: Any, state: Any) -> Any:
+        """Call a function of all loops: going, step or result."""
+        return jax.vmap(lambda lane, state: getattr(self.function(self.scene, *lane), part)(state))(lane, state)
+
+    def refill(self, slots: Slots, first: jax.Array) -> tuple[Slots, jax.Array]:
+        """Return the slots with the next lanes in free slots, and the first row that is left."""
+        free = ~slots.going
+        row, new, following = next_rows(free, first, self.lanes)
+        lane = jax.tree.map(lambda t: t[jnp.where(new, row, 0)], self.tables)
+        lane, state = _where(new, (lane, self.begin(lane)), (slots.lane, slots.state))
+        row = jnp.where(new, row, jnp.where(free, self.capacity, slots.row))
+        going = self.call("going", lane, state) & (row < self.capacity)
+        return Slots(row, lane, state, going), following
+
+    def advance(self, slots: Slots) -> Slots:
+        """Return the slots after one step of every loop that continues."""
+        state = _where(slots.going, self.call("step", slots.lane, slots.state), slots.state)
+        return slots._replace(state=state, going=slots.going & self.call("going", slots.lane, state))
+
+    def refill_and_advance(self, now: tuple[Slots, jax.Array, Any]) -> tuple[Slots, jax.Array, Any]:
+        """Refill the slots, advance until enough of them are free, and write their results."""
+        slots, first, results = now
+        slots, first = self.refill(slots, first)
+        enough = jnp.where(first < self.lanes, self.width - max(1, self.width // 8), 0)
+        slots = jax.lax.while_loop(lambda slots: jnp.sum(slots.going) > enough, self.advance, slots)
+        write = partial(jax.tree.map, lambda all_, own: all_.at[slots.row].set(own, mode="drop"))
+        return slots, first, write(results, self.call("result", slots.lane, slots.state))
+
+    def is_unfinished(self, now: tuple[Slots, jax.Array, Any]) -> jax.Array:
+        """Return True while a lane is left or a loop continues."""
+        slots, first, _ = now
+        return (first < self.lanes) | jnp.any(slots.going)
+
+
 def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
     """Return a compiled function as `chunked` does, for a function that returns a `Loop`.
 
@@ -89,44 +148,11 @@ def refilled(function: Callable, width: int) -> jax.stages.Wrapped:
     """
 
     def run(scene, lanes, *tables):
-        capacity = jax.tree.leaves(tables)[0].shape[0]
-
-        def for_all_slots(part: Callable) -> Callable:
-            return jax.vmap(lambda lane, state: part(function(scene, *lane))(state))
-
-        is_going, step, result = (for_all_slots(attrgetter(part)) for part in ("going", "step", "result"))
-        initial_state = jax.vmap(lambda lane: jax.tree.map(jnp.asarray, function(scene, *lane).state))
-
-        def fill_free_slots(slots: Slots, first) -> tuple[Slots, jax.Array]:
-            free = ~slots.going
-            row, new, following = next_rows(free, first, lanes)
-            lane = jax.tree.map(lambda t: t[jnp.where(new, row, 0)], tables)
-            lane, state = _where(new, (lane, initial_state(lane)), (slots.lane, slots.state))
-            row = jnp.where(new, row, jnp.where(free, capacity, slots.row))
-            going = is_going(lane, state) & (row < capacity)
-            return Slots(row, lane, state, going), following
-
-        def advance(slots: Slots) -> Slots:
-            state = _where(slots.going, step(slots.lane, slots.state), slots.state)
-            return slots._replace(state=state, going=slots.going & is_going(slots.lane, state))
-
-        def refill_and_advance(progress):
-            slots, first, results = progress
-            slots, first = fill_free_slots(slots, first)
-            enough = jnp.where(first < lanes, width - max(1, width // 8), 0)
-            slots = jax.lax.while_loop(lambda slots: jnp.sum(slots.going) > enough, advance, slots)
-            write = partial(jax.tree.map, lambda all_, own: all_.at[slots.row].set(own, mode="drop"))
-            return slots, first, write(results, result(slots.lane, slots.state))
-
-        def is_unfinished(progress) -> jax.Array:
-            slots, first, _ = progress
-            return (first < lanes) | jnp.any(slots.going)
-
-        lane = jax.tree.map(lambda t: jnp.broadcast_to(t[0], (width, *t.shape[1:])), tables)
-        state = initial_state(lane)
-        slots = Slots(jnp.full(width, capacity, jnp.int32), lane, state, jnp.zeros(width, bool))
-        results = _empty(jax.eval_shape(result, lane, state), capacity)
-        return jax.lax.while_loop(is_unfinished, refill_and_advance, (slots, jnp.zeros((), jnp.int32), results))[2]
+        loops = SlotLoops(function, scene, lanes, tables, width)
+        slots = loops.empty_slots()
+        results = _empty(jax.eval_shape(partial(loops.call, "result"), slots.lane, slots.state), loops.capacity)
+        start = slots, jnp.zeros((), jnp.int32), results
+        return jax.lax.while_loop(loops.is_unfinished, loops.refill_and_advance, start)[2]
 
     return jax.jit(run, keep_unused=True)  # its text then has all arguments, see `kept_executables`
 

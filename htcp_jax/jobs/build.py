@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import PlacedCloud, given_obstacles, make_fixtures, placed_cloud, self_collision
+from htcp_jax.clearance.obstacles import PlacedCloud, given_obstacles, make_fixtures, make_self_collision, placed_cloud
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
@@ -290,7 +290,7 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
             corners = shape.triangles.reshape(-1, 3)
             parts.check_cell_extent(robot, corners, shape.name, f"the scale of its mesh in {cell.model}")
     clouds = tuple(_cell_cloud(each, T, standing, robot) for each, T in standing.clouds)
-    own = self_collision.self_collision(robot) if cell.self_collision else None
+    own = make_self_collision(robot) if cell.self_collision else None
     given = given_obstacles(cell.obstacles)
     return (
         *make_fixtures(robot, standing.shapes, standing.excluded),

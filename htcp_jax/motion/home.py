@@ -122,18 +122,16 @@ class HomeConnector:
         scenarios, settings = self._scenarios, self._problem.settings
         starts = {s: Start(scenarios.x_start[s], Status.HOME_NOT_JOINED) for s in trials}
         for first in range(0, MOST_TRIED, TOGETHER):
-            left = [own[first : first + TOGETHER] for s, own in trials.items() if starts[s].via_points is None]
-            now = [one for own in left for one in own]
+            open_ = [own[first : first + TOGETHER] for s, own in trials.items() if starts[s].via_points is None]
+            now = [trial for own in open_ for trial in own]
             if not now:
                 break
             s, pair, to = (np.array(column) for column in zip(*now, strict=True))
             found = join(self._checker, scenarios, s, pair, scenarios.x_home[s], to, settings, soonest=True)
-            from_home = zip(now, found, strict=True)
-            starts |= {
-                one.scenario: Start(one.x, via_points=via_points)
-                for one, via_points in from_home
-                if via_points is not None
-            }
+            joined = [
+                (trial, via_points) for trial, via_points in zip(now, found, strict=True) if via_points is not None
+            ]
+            starts |= {trial.scenario: Start(trial.x, via_points=via_points) for trial, via_points in joined}
         return starts
 
 

@@ -80,49 +80,49 @@ def join(
         The via points of each pair [rad or m]; an empty array if the straight joint path is clear. None if an end is
             not clear, if no path was found in `settings.search_rounds`, or if the pair was abandoned.
     """
-    found: list[np.ndarray | None] = [None] * len(a)
+    via_points: list[np.ndarray | None] = [None] * len(a)
     waiting, limits = iter(range(len(a))), checker.executor.limits
     most = max(1, checker.executor.lanes // IN_FLIGHT)
-    going: dict[int, Joining] = {}
-    reported: dict[int, np.ndarray] = {}
-    requests, best = [0] * len(a), {}
+    searches: dict[int, Joining] = {}
+    answers: dict[int, np.ndarray] = {}
+    rounds, best = [0] * len(a), {}  # best: scenario -> rounds and number of the pair joined in the fewest rounds
 
-    def wanted(k: int) -> bool:
-        return not soonest or (requests[k], k) < best.get(scenario[k], (np.inf, k))
+    def may_be_soonest(k: int) -> bool:
+        return not soonest or (rounds[k], k) < best.get(scenario[k], (np.inf, k))
 
     while True:
-        for k in islice(waiting, most - len(going)):
+        for k in islice(waiting, most - len(searches)):
             rng = np.random.default_rng([settings.seed, int(scenarios.number[scenario[k]]), int(pair[k])])
-            going[k] = _join_pair(a[k], b[k], limits, rng, settings)
-        if not going:
-            return found
-        requested: dict[int, QueriedPaths] = {}
-        for k, search in going.items():
+            searches[k] = _join_pair(a[k], b[k], limits, rng, settings)
+        if not searches:
+            return via_points
+        queries: dict[int, QueriedPaths] = {}
+        for k, search in searches.items():
             try:
-                requested[k] = search.send(reported.get(k))
-                requests[k] += 1
+                queries[k] = search.send(answers.get(k))
+                rounds[k] += 1
             except StopIteration as end:
-                if end.value is not None and wanted(k):
+                if end.value is not None and may_be_soonest(k):
                     if soonest and scenario[k] in best:
-                        found[best[scenario[k]][1]] = None
-                    found[k], best[scenario[k]] = end.value, (requests[k], k)
-        requested = {k: paths for k, paths in requested.items() if wanted(k)}
-        going = {k: going[k] for k in requested}
-        reported = _answers(checker, scenarios, scenario, requested) if requested else {}
+                        via_points[best[scenario[k]][1]] = None
+                    via_points[k], best[scenario[k]] = end.value, (rounds[k], k)
+        queries = {k: paths for k, paths in queries.items() if may_be_soonest(k)}
+        searches = {k: searches[k] for k in queries}
+        answers = _answers(checker, scenarios, scenario, queries) if queries else {}
 
 
 def _answers(
-    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, requested: dict[int, QueriedPaths]
+    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, queries: dict[int, QueriedPaths]
 ) -> dict[int, np.ndarray]:
-    """Return, for each search, True for the requested joint paths that are proven."""
-    counts = [len(paths.a) for paths in requested.values()]
-    own = np.repeat(scenario[list(requested)], counts)
-    a, b, deepest = (np.concatenate(column) for column in zip(*requested.values(), strict=True))
+    """Return, for each search, True for the queried joint paths that are proven."""
+    counts = [len(paths.a) for paths in queries.values()]
+    own = np.repeat(scenario[list(queries)], counts)
+    a, b, deepest = (np.concatenate(column) for column in zip(*queries.values(), strict=True))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
     clear = checker.edges(inputs, a, b, deepest=deepest).verdict == SegmentStatus.VALID
     for end in (a, b):
         clear = checker.tip_free(inputs, end, clear)
-    return dict(zip(requested, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
+    return dict(zip(queries, np.split(clear, np.cumsum(counts)[:-1]), strict=True))
 
 
 def _join_pair(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
@@ -132,8 +132,8 @@ def _join_pair(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Gene
         return None
     if (yield _full_queries(a[None], b[None])).all():
         return a[:0].reshape(0, len(a))
-    path = yield from _grown(a, b, limits, rng, settings)
-    return None if path is None else (yield from _shortened(path, rng, settings.search_shortcuts))[1:-1]
+    path = yield from _grow_trees(a, b, limits, rng, settings)
+    return None if path is None else (yield from _shorten(path, rng, settings.search_shortcuts))[1:-1]
 
 
 class _Nodes(NamedTuple):
@@ -167,18 +167,18 @@ class _JointTree(Tree):
 
     def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
         """Extend each node towards its goal, step by step while steps are proven; return the last nodes."""
-        node, going = node.copy(), np.arange(len(node))
-        while len(going):
-            x, to = self.x[node[going]], goal[going]
-            left = np.linalg.norm(to - x, axis=1)
-            there = _interpolated(x, to, np.minimum(1.0, step / np.maximum(left, step)))
-            clear = yield _full_queries(there, x) if self.backwards else _full_queries(x, there)
-            node[going[clear]] = self.add(_Nodes(there[clear], node[going[clear]]))
-            going = going[clear & (left > step)]
+        node, branches = node.copy(), np.arange(len(node))
+        while len(branches):
+            x, to = self.x[node[branches]], goal[branches]
+            distance = np.linalg.norm(to - x, axis=1)
+            next_x = _interpolated(x, to, np.minimum(1.0, step / np.maximum(distance, step)))
+            clear = yield _full_queries(next_x, x) if self.backwards else _full_queries(x, next_x)
+            node[branches[clear]] = self.add(_Nodes(next_x[clear], node[branches[clear]]))
+            branches = branches[clear & (distance > step)]
         return node
 
 
-def _grown(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
+def _grow_trees(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """Return a path of proven steps from a to b; None if no path is found in the maximum number of rounds."""
     trees, step = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad
     for _ in range(settings.search_rounds):
@@ -202,7 +202,7 @@ def _sampled_goals(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> n
     return np.clip(x + directions * (lengths / np.linalg.norm(directions, axis=1, keepdims=True)), *limits)
 
 
-def _shortened(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
+def _shorten(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
     """Return the path shortened by straight joint paths; each round takes the shortcut that saves most."""
     for _ in range(rounds):
         cuts = np.sort(rng.random((DRAWS, 2)) * (len(path) - 1), axis=1)

@@ -224,6 +224,20 @@ class Plans(NamedTuple):
         wider: dict[str, Any] = {name: self._padded(name, more) for name in (*_KINDS, "target", "tcp")}
         return self._replace(**wider)
 
+    def with_targets(self, row: Int[np.ndarray, "S R"], exists: Bool[np.ndarray, "S R"]) -> "Plans":
+        """Return the plans with copies of other targets; via points and dead ends remain those of the old ones.
+
+        Args:
+            row: Index of the old target for each new one.
+            exists: True for existing targets.
+        """
+        s, found = np.arange(len(row))[:, None], dict[str, Any]()
+        for name, empty in EMPTY.items():
+            column = getattr(self, name)
+            there = exists.reshape(*exists.shape, *[1] * (column.ndim - 2))
+            found[name] = np.where(there, column[s, row], np.asarray(empty, column.dtype))
+        return self._replace(**found)
+
     def narrowed(self) -> "Plans":
         """Return the plans without those last columns in which no scenario has a target."""
         longest = int(np.flatnonzero(self.exists.any(axis=0)).max(initial=-1)) + 1

@@ -197,13 +197,8 @@ def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans
         count: Number of targets of each scenario, without inserted goals.
         parts: Parts of their segments.
     """
-    exists, s = np.arange(parts.row.shape[1]) < count[:, None], np.arange(len(count))[:, None]
-    arrays = {"start": plans.start}
-    for name in (name for name in plans.arrays() if name != "start"):
-        column = getattr(plans, name)
-        there = exists.reshape(*exists.shape, *[1] * (column.ndim - 2))
-        arrays[name] = np.where(there, column[s, parts.row], np.asarray(plan_arrays.EMPTY[name], column.dtype))
-    found = plans._replace(**arrays)
+    exists = np.arange(parts.row.shape[1]) < count[:, None]
+    found = plans.with_targets(parts.row, exists)
     before = np.diff(parts.row, axis=1, prepend=-1)
     for one, t in zip(*np.nonzero(exists & (before > 1)), strict=True):
         last = parts.row[one, t] + 1

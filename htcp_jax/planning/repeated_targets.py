@@ -116,28 +116,22 @@ def _expanded(
         exists: True for existing targets.
         first: The first target of each place.
     """
-    s, place = np.arange(len(first))[:, None], np.maximum(np.cumsum(distinct, axis=1) - 1, 0)
-    arrays = {"start": plans.start}
-    for name in (name for name in plans.arrays() if name != "start"):
-        column = getattr(plans, name)
-        there = exists.reshape(*exists.shape, *[1] * (column.ndim - 2))
-        arrays[name] = np.where(there, column[s, place], np.asarray(plan_arrays.EMPTY[name], column.dtype))
+    found = plans.with_targets(np.maximum(np.cumsum(distinct, axis=1) - 1, 0), exists)
     repeated = exists & ~distinct
-    arrays["target"][repeated] = problem.scenarios.targets[repeated]
-    passed = repeated & plan_arrays.is_tracked(arrays["status"])
-    arrays["status"][repeated & ~passed] = Status.NOT_ATTEMPTED
-    arrays["status"][passed] = Status.TRACKED
-    for name in ("iterations", "recovery"):
-        arrays[name][repeated] = 0
-    arrays["joint_step"][passed] = 0.0
-    checked = arrays["segment_status"][passed] != SegmentStatus.NOT_CHECKED
-    stays = np.where(np.isin(arrays["segment_status"], MOTION), arrays["segment_status"], SegmentStatus.VALID)
-    arrays["segment_status"][passed] = np.where(checked, stays[passed], SegmentStatus.NOT_CHECKED)
-    arrays["segment_clearance"][passed] = np.where(checked, arrays["clearance"][passed], np.nan)
-    arrays["path_clear"][passed] = np.where(arrays["path_clear"][passed] == plan_arrays.PATH_UNKNOWN, -1, 1)
+    found.target[repeated] = problem.scenarios.targets[repeated]
+    passed = repeated & found.tracked
+    found.status[repeated & ~passed] = Status.NOT_ATTEMPTED
+    found.status[passed] = Status.TRACKED
+    found.iterations[repeated] = found.recovery[repeated] = 0
+    found.joint_step[passed] = 0.0
+    proof = found.segment_status[passed]
+    checked, stays = proof != SegmentStatus.NOT_CHECKED, np.where(np.isin(proof, MOTION), proof, SegmentStatus.VALID)
+    found.segment_status[passed] = np.where(checked, stays, SegmentStatus.NOT_CHECKED)
+    found.segment_clearance[passed] = np.where(checked, found.clearance[passed], np.nan)
+    found.path_clear[passed] = np.where(found.path_clear[passed] == plan_arrays.PATH_UNKNOWN, -1, 1)
     known = plans.via_points
     via_points = known._replace(target=first[known.scenario, known.target].astype(known.target.dtype))
-    return plans._replace(**arrays, via_points=via_points, dead_ends=plans.dead_ends.moved(first))
+    return found._replace(via_points=via_points, dead_ends=plans.dead_ends.moved(first))
 
 
 def _with_own_errors(problem: Problem, plans: Plans, distinct: np.ndarray) -> tuple[Plans, Bool[np.ndarray, "S"]]:

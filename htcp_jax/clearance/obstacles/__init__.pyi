@@ -9,6 +9,7 @@ from . import (
 )
 from .given_obstacle import given_obstacles
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
+from .self_collision import make_self_collision
 
 __all__ = [
     "PlacedCloud",
@@ -17,6 +18,7 @@ __all__ = [
     "given_obstacles",
     "linearisation",
     "make_fixtures",
+    "make_self_collision",
     "of_workpiece",
     "placed_cloud",
     "self_collision",

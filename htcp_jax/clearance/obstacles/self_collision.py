@@ -123,7 +123,7 @@ class SelfCollision(Obstacle):
         return jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
 
 
-def self_collision(robot: Robot) -> SelfCollision | None:
+def make_self_collision(robot: Robot) -> SelfCollision | None:
     """Return a robot's own bodies as an obstacle, with its current tool; None if there is no pair to check.
 
     If pairs with the job's own tool are excluded, a UserWarning names them.

@@ -34,7 +34,6 @@ from htcp_jax.motion import (
     collision_checker,
     lane_inputs,
     motion_check,
-    sparse_columns,
     step_functions,
     transfers,
 )
@@ -85,7 +84,7 @@ class BeamSearchMethod(Method):
         parts = problem.in_threads(work, threads)
         via_points = ViaPoints.of([row for rows, _ in parts for row in rows], plans.x.shape[2])
         tried = {key: value for _, part in parts for key, value in part.items()}
-        return plans._replace(via_points=via_points, dead_ends=sparse_columns.DeadEnds.of(tried))
+        return plans._replace(via_points=via_points, dead_ends=plans.dead_ends.of(tried))
 
 
 class BeamSearch:

@@ -143,7 +143,7 @@ class Work:
 
 
 class LaneTable:
-    """One engine's lanes, at most as many as one call computes, and a queue; refilled from the shared work."""
+    """One engine's lanes, refilled from the shared work."""
 
     def __init__(self, executor: Executor, scenarios: Scenario, work: Work):
         self._executor, self._starts, self._work = executor, scenarios.x_start, work
