@@ -9,6 +9,7 @@ from . import (
     motion_check,
     plans,
     smoothing,
+    sparse_columns,
     start_cause,
     start_check,
     step_functions,
@@ -19,11 +20,10 @@ from .collision_checker import CollisionChecker
 from .motion import Motion
 from .plans import Plans
 from .problem import Execution, Problem
-from .sparse_columns import DeadEnds, Tried, ViaPoints
+from .sparse_columns import Tried, ViaPoints
 
 __all__ = [
     "CollisionChecker",
-    "DeadEnds",
     "Execution",
     "Motion",
     "Plans",
@@ -40,6 +40,7 @@ __all__ = [
     "motion_check",
     "plans",
     "smoothing",
+    "sparse_columns",
     "start_cause",
     "start_check",
     "step_functions",
