@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import self_collision
+from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, scenario_setup
+from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, with_own_tool
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
@@ -23,12 +23,11 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
-from htcp_jax.planning import batch, inserted_goals, registry
+from htcp_jax.planning import LostPlace, batch, lost_place, registry
 from htcp_jax.planning import methods as planning_methods
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
-from htcp_jax.runs import motion_summary as motion_summaries
-from htcp_jax.runs import plan_folder, provenance
+from htcp_jax.runs import MotionSummary, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
 from htcp_jax.status import NOT_TRIED, Status
@@ -60,9 +59,9 @@ class Plan:
         return summaries.summarise(self.plans)
 
     @cached_property
-    def motion_summary(self) -> motion_summaries.MotionSummary:
+    def motion_summary(self) -> MotionSummary:
         """Length of the proven motion, its minimum clearance, its dwells and its smoothness."""
-        return motion_summaries.summarise_motion(self.plans, int(self.scenario.on_path))
+        return summarise_motion(self.plans, int(self.scenario.on_path))
 
     def motion(self, *, retract: bool = False) -> Motion:
         """Return the motion from home or the start to the last executable target: its configurations, and their kinds.
@@ -107,7 +106,7 @@ class Plan:
     def workpiece_place(self) -> str:
         """Text with the workpiece's pose, in the world or on its link, and the origin subtracted from its files."""
         T = np.asarray(self.scenario.T_world_workpiece)
-        return scenario_setup.place_of(self.workpiece, T, self.robot.part_link)
+        return place_of(self.workpiece, T, self.robot.part_link)
 
     @cached_property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -157,7 +156,7 @@ class Plan:
 
     def _checked(self) -> dict[str, str]:
         """Return lines for the checked bodies, self-collision pairs and fixtures; fixtures on links come first."""
-        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, self_collision.SelfCollision)]
+        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
         names = [self.robot.capsule_names[k] for k in self.robot.attached]
         names += [name for each in self.obstacles for name in each.names if name]
         facts = {"self-collision": own[0]} if own else {}
@@ -175,7 +174,7 @@ class Plan:
             "straight joint paths": f"{end.blocked_paths} of {end.tracked} between consecutive targets collide",
             **self._nearest_bodies(),
             "clearance is to": self.workpiece.walls,
-            "interior rule": f"{scenario_setup.interior_rule(self.workpiece, self.scenario)} "
+            "interior rule": f"{interior_rule(self.workpiece, self.scenario)} "
             "(deep inside the part, bodies must stay within its convex hull)",
         }
 
@@ -250,12 +249,12 @@ class Plan:
         return Obstruction(found.body, found.point, found.depth_m, 0.0, True, found.x, found.other, body_label=label)
 
     @cached_property
-    def _lost_place(self) -> inserted_goals.LostPlace | None:
+    def _lost_place(self) -> LostPlace | None:
         """The inserted goal between two targets at which the plan failed; None if it failed elsewhere."""
         if (failed := self.outcome.failed) is None or self.outcome.status in NOT_TRIED:
             return None
         task = jobs.build.task_of_job(self.job, self.robot)
-        return inserted_goals.lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
+        return lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
 
     @property
     def dead_ends(self) -> dict[int, Tried]:
@@ -446,7 +445,7 @@ def plan_job(
             robot, workpiece, scenario, job.settings, task, all_obstacles, execution, check_starts=True
         )
         plans = batch.plan(problem, chosen, progress)
-        robot, scenario = scenario_setup.with_own_tool(robot, scenario)
+        robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
 
 

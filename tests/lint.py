@@ -3,8 +3,8 @@
 **Imports.** A package imports from itself and from the packages before it in PACKAGES, at the top of a file or inside a
 function; no import cycles. Each folder is one of these packages.
 
-**Public names.** The stub of a package, `__init__.pyi`, lists its public names: types, functions, and modules of
-functions. Other packages import these and nothing deeper; modules of one package import each other. Each name exists,
+**Public names.** The stub of a package, `__init__.pyi`, lists its public names: types and functions whose names say
+alone what they are, and modules where they do not, as in `tables.gather`. Other packages import these and nothing deeper; modules of one package import each other. Each name exists,
 and a package has 5 to 15 of them, except those in SIZES.
 
 **Validation.** `validation` imports nothing of the planner's mathematics: from other packages only the names in
@@ -56,6 +56,9 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "io": "each kind of file has a module or a package",
     "system": "each concern has functions of its own: files, locks, signals, the end of a process",
     "spec": "each thing that people write has a type, and its keys have choices",
+    "clearance.obstacles": "each kind of obstacle has a type and a function that makes it",
+    "trajectory": "programs, their figures and the timing of plans and runs",
+    "viewer": "pictures, movies and replays of plans, of runs and of programs",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",
     "io.robots": "each step from a vendor's file, or the files of a cell, to an arm has a module",

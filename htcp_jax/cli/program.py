@@ -26,12 +26,16 @@ from htcp_jax.trajectory import (
     FORMATS,
     PeakTorque,
     PlanProgram,
+    ProgramFigures,
+    Share,
     check_ranges,
-    figures,
     format_of,
     limits_of_job,
     limits_overrides,
-    plan_program,
+    program_figures,
+    program_of,
+    requested_feed,
+    with_program,
 )
 from htcp_jax.validation import check_timed
 
@@ -121,13 +125,13 @@ def program(
     plans, step_s = open_plans(run), _step_seconds(step_ms)
     in_file = _limits_in_file(limits, plans.config)
     changes = [*in_file.overrides, *(overrides or ())]
-    feed_m_s = plan_program.requested_feed(feed, plan_program.with_program(plans.config, changes))
-    made = plan_program.program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
+    feed_m_s = requested_feed(feed, with_program(plans.config, changes))
+    made = program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
     if in_file.stated is not None:
         check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
     _print_note(in_file)
     torque = made.peak_torque
-    text, found = made.text(format, out.stem, step_s), figures.program_figures(made.program, made.limits)
+    text, found = made.text(format, out.stem, step_s), program_figures(made.program, made.limits)
     with output_files.made_folder(out.parent):
         output_files.write_text(out, text)
     checked = _check_motion(run, made, scenario) if check else {}
@@ -144,7 +148,7 @@ def program(
 
 
 def _print_record(
-    found: figures.ProgramFigures,
+    found: ProgramFigures,
     manipulability: Float[np.ndarray, "T"],
     torque: PeakTorque | None,
     checked: dict[str, int | float],
@@ -159,7 +163,7 @@ def _print_record(
 
 def _print_program(
     title: str,
-    found: figures.ProgramFigures,
+    found: ProgramFigures,
     manipulability: Float[np.ndarray, "T"],
     torque: PeakTorque | None,
     checked: dict[str, int | float],
@@ -235,7 +239,7 @@ def _step_seconds(step_ms: float | None) -> float | None:
     return None if step_ms is None else 1e-3 * step_ms
 
 
-def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray, "T"]) -> Table:
+def _drop_table(found: ProgramFigures, manipulability: Float[np.ndarray, "T"]) -> Table:
     """Return a table with one row per feed drop, with the smallest manipulability between its targets [m/rad]."""
     rows = []
     for drop in found.drops:
@@ -246,7 +250,7 @@ def _drop_table(found: figures.ProgramFigures, manipulability: Float[np.ndarray,
     return Table("feed_drops", shown, tuple(rows))
 
 
-def _share_record(found: list[figures.Share]) -> dict[str, dict]:
+def _share_record(found: list[Share]) -> dict[str, dict]:
     return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found}
 
 
@@ -258,7 +262,7 @@ def _torque(peak_torque: PeakTorque | None) -> str:
     return f"{100 * share:.1f} % of the effort limit, {at}" if share else f"{at}; no effort limit"
 
 
-def _program_facts(found: figures.ProgramFigures) -> dict[str, str]:
+def _program_facts(found: ProgramFigures) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
     if found.reason is not None:

@@ -23,7 +23,7 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.device import tables
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import grid, seeded
+from htcp_jax.jobs import Batch, load_sweep_or_job, seeded
 from htcp_jax.model import Scenario
 from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
 from htcp_jax.report import reach_study
@@ -81,7 +81,7 @@ def reachability(
     """
     if out is None:
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
-    batch = (spec := grid.load_sweep_or_job(file, config, seeded(overrides or (), seed))).batch(limit)
+    batch = (spec := load_sweep_or_job(file, config, seeded(overrides or (), seed))).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
 
     def record_of(found: Reachability) -> dict:
@@ -116,7 +116,7 @@ def reachability(
     return 0
 
 
-def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bool) -> Reachability:
+def _search(batch: Batch, resolution_rad: float, proof_cells: int, each: bool) -> Reachability:
     """Return the reachability bounds of a batch. Show one progress bar for each of its `cells`, the distinct inputs."""
     with progress_bars() as bars:
         started: dict[int, TaskID] = {}
@@ -131,7 +131,7 @@ def _search(batch: grid.Batch, resolution_rad: float, proof_cells: int, each: bo
         return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress)
 
 
-def _beaten_scenarios(run: Run, batch: grid.Batch, found: Reachability) -> dict[str, list[int]]:
+def _beaten_scenarios(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:
     """Return, by method, the scenarios in which the method tracked more targets than the lower bound.
 
     Raises:
@@ -162,7 +162,7 @@ def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
     return np.where(left[..., None], 0.0, np.abs(targets - scenarios.targets))
 
 
-def _print_bounds(name: str, batch: grid.Batch, found: Reachability, record: dict, out: Path) -> None:
+def _print_bounds(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:
     targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
     complete = int((found.prefix == batch.scenarios.count).sum())
     rows = {

@@ -13,10 +13,9 @@ from htcp_jax.cli.output import Json, print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.runs import open_plans
 from htcp_jax.system import output_files
-from htcp_jax.trajectory import PlanProgram, plan_program
-from htcp_jax.viewer import Studio, offscreen, timed_play
+from htcp_jax.trajectory import PlanProgram, program_of
+from htcp_jax.viewer import Replay, Studio, arms_of, frame_times, offscreen, recorded_replays, sample_program
 from htcp_jax.viewer import movie as movies
-from htcp_jax.viewer import replay as recordings
 
 LEAST, MOST = 160, 3840  # valid widths of a picture [pixels]
 ASPECT = 11 / 16
@@ -100,7 +99,7 @@ def render(
         raise InputError(f"--width is {width}; valid: {LEAST} to {MOST} pixels")
     offscreen.platform()  # raises an error before files are read
     found = open_plans(run)
-    replays = recordings.recorded_replays(found)
+    replays = recorded_replays(found)
     replay = replays.replay(scenario, method or replays.methods[0])
     last = len(replay.target) - 1
     if target is not None and not 0 <= target <= last:
@@ -108,9 +107,7 @@ def render(
     shown = max(replay.tracked - 1, 0) if target is None else target
     made = None
     if feed_m_s is not None:
-        made = plan_program.program_of(
-            found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ()
-        )
+        made = program_of(found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ())
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
     with output_files.written_whole(files.folder) as folder:
         if files.picture:
@@ -155,10 +152,8 @@ def _is_picture(out: Path) -> bool:
 
 def _film(studio: Studio, made: PlanProgram, speed: float) -> movies.Film:
     """Return the film of a robot program at `speed` times real time, with plots of the speeds below the picture."""
-    play = timed_play.sample_program(made, timed_play.frame_times(made.program.duration_s, speed))
-    return studio.film(timed_play.arms_of(made, play)).over(
-        viewer.plot_strip.PlotStrip(made, play, studio.width, speed).at
-    )
+    play = sample_program(made, frame_times(made.program.duration_s, speed))
+    return studio.film(arms_of(made, play)).over(viewer.plot_strip.PlotStrip(made, play, studio.width, speed).at)
 
 
 def _height(width: int) -> int:
@@ -166,7 +161,7 @@ def _height(width: int) -> int:
 
 
 def _print_files(
-    replay: recordings.Replay,
+    replay: Replay,
     shown: int | None,
     files: list[str],
     made: PlanProgram | None,

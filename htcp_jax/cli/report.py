@@ -7,7 +7,7 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.output import Json, print_json, print_table, stdout
-from htcp_jax.report import chapter, make_report, report_record, write_report
+from htcp_jax.report import make_report, part_facts, report_record, write_report
 from htcp_jax.system import output_files
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Output folders of htcp sweep.")]
@@ -38,7 +38,7 @@ def report(runs: Runs, out: Out = Path("out/report"), as_json: Json = False) -> 
     console = stdout()
     for part, tables in zip(made.parts, made.part_tables, strict=True):
         console.print(Text(part.name, style="bold"))
-        for line in chapter.part_facts(part):
+        for line in part_facts(part):
             console.print(Text(line, style="dim"))
         print_table(console, tables["results"])
         for name in ("paper", "reachability", "reach", "timing"):

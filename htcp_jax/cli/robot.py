@@ -12,11 +12,11 @@ import numpy as np
 import typer
 from jaxtyping import Bool
 
-from htcp_jax.clearance.obstacles import self_collision, self_exclusions
+from htcp_jax.clearance.obstacles import make_self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
-from htcp_jax.io.robots import capsule_fit, close_fit, mjcf
+from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, shapes_label
 from htcp_jax.model import Robot
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
@@ -149,14 +149,14 @@ def convert(
     from htcp_jax.viewer import draw_arm  # here, after checks of the input, as the import is slow
 
     with output_files.written_whole(out.parent) as folder:
-        output_files.write_text(folder / out.name, mjcf.arm_xml(arm, source))
+        output_files.write_text(folder / out.name, arm_xml(arm, source))
         with progress_bar("pairs of capsules") as progress:
             listed = _excluded_pairs(arm, robots.load_robot(folder / out.name, fewest_joints=1), progress)
         with progress_bar("pictures"):
-            text = mjcf.arm_xml(arm, source, listed)
+            text = arm_xml(arm, source, listed)
             output_files.write_text(folder / out.name, text)
             made = robots.load_robot(folder / out.name, fewest_joints=1)
-            own = self_collision.make_self_collision(made)
+            own = make_self_collision(made)
             carried = "" if arm.part is None else f", part on {arm.part}"
             shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
             title = f"{made.name}: {shown}"
@@ -215,7 +215,7 @@ def _length_m(text: str | None) -> float | None:
     return length_m
 
 
-def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[mjcf.Listed]:
+def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[Listed]:
     """Return the pairs of capsules that samples and meshes exclude from the self-collision check.
 
     Pairs that the model or the SRDF file disables are not included.
@@ -247,7 +247,7 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
                 cover.ratio,
                 1e3 * cover.excess_m,
                 1e3 * cover.outside_m,
-                mjcf.shapes_label(cover),
+                shapes_label(cover),
             )
         )
     return Table("robot", columns.of(*COLUMNS), tuple(rows))
@@ -259,7 +259,7 @@ def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
         **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
         "joints": arm.joint_names,
         "frozen": arm.frozen,
-        "fixed": mjcf.fixed_text(arm),
+        "fixed": fixed_text(arm),
         "without a shape": arm.shapeless,
         "excluded": arm.excluded,
     }

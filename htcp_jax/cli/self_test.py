@@ -13,7 +13,7 @@ import numpy as np
 from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, robots
-from htcp_jax.model import scenario_setup
+from htcp_jax.model import make_scenario
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs import provenance
@@ -59,7 +59,7 @@ def self_test() -> SelfTest:
     began = time.perf_counter()
     robot, part = robots.gp50(), parts.load_workpiece()
     count = 11 + POINTS  # the start, the approach, and the path's first points
-    scenario = scenario_setup.make_scenario(robot, part, START)
+    scenario = make_scenario(robot, part, START)
     scenario = dataclasses.replace(scenario, targets=scenario.targets[:count], count=np.asarray(count, np.int32))
     problem = Problem.of(robot, part, scenario, execution=Execution(threads=1), check_paths=False)
     plans = batch.plan(problem, "baseline")

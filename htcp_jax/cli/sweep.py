@@ -27,8 +27,8 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
-from htcp_jax.jobs import grid, seeded
-from htcp_jax.report import Table, tables
+from htcp_jax.jobs import load_sweep, seeded
+from htcp_jax.report import Table, result_row
 from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import NOT_TRIED
@@ -85,7 +85,7 @@ def sweep(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     running, chosen = RunningSummary(), sweeps.method_names(methods)
     claim_device(sweeps.device_of(on, device))  # before files are read
-    spec = grid.load_sweep(file, config, seeded(overrides or (), seed))
+    spec = load_sweep(file, config, seeded(overrides or (), seed))
     feed = spec.config.program.feed if feed is None else feed
     if feed is not None:
         check_feed(spec, feed)  # before planning starts
@@ -178,7 +178,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
-    rows = [tables.result_row(method, summary.summarise(whole)) for method, whole in plans.items()]
+    rows = [result_row(method, summary.summarise(whole)) for method, whole in plans.items()]
     for keys in (COUNTS, FIGURES):
         print_table(console, Table.of("sweep", keys, rows).without_empty())
         console.print()

@@ -8,7 +8,7 @@ from rich.text import Text
 from htcp_jax.cli.output import print_table, progress_bars, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import JointLimits
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import Sweep
 from htcp_jax.report import timing_table as timings
 from htcp_jax.runs import Run, timing_file
 from htcp_jax.spec import feed as feed_rates
@@ -51,7 +51,7 @@ def _timing_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield show
 
 
-def check_feed(spec: grid.Sweep, feed: str) -> None:
+def check_feed(spec: Sweep, feed: str) -> None:
     """Check that a sweep can be timed.
 
     Raises:

@@ -18,8 +18,8 @@ from htcp_jax.jobs import seeded, source_of
 from htcp_jax.runs import open_plans
 from htcp_jax.spec import examples
 from htcp_jax.system import stop_message
-from htcp_jax.trajectory import PlanProgram, plan_program
-from htcp_jax.viewer import replay
+from htcp_jax.trajectory import PlanProgram, program_of, program_of_plans
+from htcp_jax.viewer import Replays, recorded_replays, replays_of
 
 CLOSED = "closed"
 What = Annotated[
@@ -92,7 +92,7 @@ def view(
 
 def _replays_and_programs(
     what: Path | None, method: str | None, overrides: Sequence[str], feed_m_s: float | None, retract: bool
-) -> tuple[replay.Replays, Callable[[int, str], PlanProgram]]:
+) -> tuple[Replays, Callable[[int, str], PlanProgram]]:
     """Open the plans to show; if `what` is a job, plan it.
 
     Returns:
@@ -105,9 +105,7 @@ def _replays_and_programs(
         if overrides and feed_m_s is None:
             raise InputError(f"--set and --seed change a job, and {what} is a run folder; omit them")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
-        return replay.recorded_replays(found), lambda scenario, by: plan_program.program_of(
-            found, feed_m_s, by, scenario, **how
-        )
+        return recorded_replays(found), lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
     name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), source_of(what))
     of_job = name, plan.plans, 0, plan.job, feed_m_s
-    return replay.replays_of(name, plan), lambda _, by: plan_program.program_of_plans(*of_job, by, retract=retract)
+    return replays_of(name, plan), lambda _, by: program_of_plans(*of_job, by, retract=retract)

@@ -1,14 +1,20 @@
-from . import build, grid, grid_axes, grid_points
+from . import build, grid_axes
 from .cell_shapes import shapes_in_world
+from .grid import Batch, PlannerInputs, Sweep, load_sweep, load_sweep_or_job
+from .grid_points import points_of
 from .load_config import load_config, seeded, source_of, with_kinds
 from .resolve import resolve, with_weights
 
 __all__ = [
+    "Batch",
+    "PlannerInputs",
+    "Sweep",
     "build",
-    "grid",
     "grid_axes",
-    "grid_points",
     "load_config",
+    "load_sweep",
+    "load_sweep_or_job",
+    "points_of",
     "resolve",
     "seeded",
     "shapes_in_world",

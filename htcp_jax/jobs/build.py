@@ -20,9 +20,22 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
-from htcp_jax.model import Robot, Scenario, Task, Workpiece, goals, mesh_points, scenario_setup, surface
+from htcp_jax.model import (
+    InletDirection,
+    Robot,
+    RowError,
+    Scenario,
+    Task,
+    Workpiece,
+    check_constant_angles,
+    follower_position,
+    make_scenario,
+    surface,
+    task_of,
+    thinnest_nearby,
+    with_goals,
+)
 from htcp_jax.model import robot as robots
-from htcp_jax.model import workpiece as workpieces
 from htcp_jax.spec import (
     SEAMS,
     CellConfig,
@@ -43,7 +56,7 @@ def _rows_by_key() -> Iterator[None]:
     """Name a task's rows by their keys in the job, such as task.2, in errors."""
     try:
         yield
-    except goals.RowError as error:
+    except RowError as error:
         raise InputError(error.message("task.")) from None
 
 
@@ -81,7 +94,7 @@ def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
 @_rows_by_key()
 def task_of_job(job: PlanConfig, robot: Robot) -> Task:
     """Build the task of a job: the constraints on the tool at each point of the path."""
-    return goals.task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -137,7 +150,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         raise InputError(
             "workpiece.inlet_direction is world-x, but the part moves; set it to x,y,z in the frame of the part's link"
         )
-    direction = workpieces.InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
+    direction = InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
     workpiece = parts.load_workpiece(
         source_of(part),
@@ -154,7 +167,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         origin=part.origin_m,
         **{name: value for name, value in stated.items() if value is not None},
     )
-    body, cover_m = mesh_points.thinnest_nearby(robot), workpiece.covering_radius_m
+    body, cover_m = thinnest_nearby(robot), workpiece.covering_radius_m
     if body is None or not len(workpiece.cloud):
         return workpiece
     if not len(workpiece.triangles) and workpiece.largest_gap_m > 2 * body.radius_m:
@@ -214,7 +227,7 @@ def scenario_of(
         follows: World position, in the start configuration, of the point that follows the path [m]; None: computed.
     """
     part, task = job.workpiece, task_of_job(job, robot)
-    scenario = scenario_setup.make_scenario(
+    scenario = make_scenario(
         robot,
         workpiece,
         job.start,
@@ -231,9 +244,9 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = goals.with_goals(scenario, job.task, task, robot, workpiece)
+    scenario = with_goals(scenario, job.task, task, robot, workpiece)
     if beyond_reach == "raise":
-        goals.check_constant_angles(scenario, job.task, task, robot, workpiece)
+        check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 
@@ -244,9 +257,7 @@ def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] 
     """
     if not job.task or job.start is None:
         return None
-    return goals.follower_position(
-        job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start)
-    )
+    return follower_position(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:

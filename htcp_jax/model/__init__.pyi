@@ -1,55 +1,68 @@
-from . import (
-    arrays,
-    convex_piece,
-    duct,
-    fixture,
-    goals,
-    inverse_kinematics,
-    kinematics,
-    mesh_points,
-    robot,
-    rotations,
-    row_bounds,
-    scenario,
-    scenario_setup,
-    surface,
-    task,
-    task_rows,
-    workpiece,
-)
-from .convex_piece import BodyPieces, ConvexPiece
+from . import arrays, duct, fixture, kinematics, robot, scenario, surface
+from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
 from .fixture import Fixture
+from .goals import RowError, check_constant_angles, follower_position, task_of, with_goals
+from .inverse_kinematics import damped_step, reanchor, within_limits
+from .mesh_points import NearbyBody, PointCover, cover_mesh, thinnest_nearby
 from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
+from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
+from .row_bounds import FeatureMotion, Region, RowSlack
 from .scenario import Scenario
-from .task import Task
-from .workpiece import Workpiece
+from .scenario_setup import interior_plane_of, interior_rule, make_scenario, place_of, with_own_tool
+from .task import TCP_POSITION, Task, TaskLinear, feature_at
+from .task_rows import Feature, Row, TaskPoint
+from .workpiece import InletDirection, Workpiece, median_distance
 
 __all__ = [
     "ONE_POINT_M",
+    "TCP_POSITION",
     "BodyPieces",
     "ConvexPiece",
+    "Feature",
+    "FeatureMotion",
     "Fixture",
+    "InletDirection",
+    "NearbyBody",
     "PathFrames",
+    "PointCover",
+    "Region",
     "Robot",
+    "Row",
+    "RowError",
+    "RowSlack",
     "Scenario",
     "Task",
+    "TaskLinear",
+    "TaskPoint",
     "Workpiece",
     "arrays",
-    "convex_piece",
+    "axis_angle_matrix",
+    "body_pieces",
+    "check_constant_angles",
+    "cover_mesh",
+    "damped_step",
     "duct",
+    "feature_at",
     "fixture",
-    "goals",
-    "inverse_kinematics",
+    "follower_position",
+    "interior_plane_of",
+    "interior_rule",
     "kinematics",
-    "mesh_points",
+    "make_piece",
+    "make_scenario",
+    "median_distance",
+    "place_of",
+    "quaternion_matrix",
+    "reanchor",
     "robot",
-    "rotations",
-    "row_bounds",
     "scenario",
-    "scenario_setup",
+    "sine_error",
+    "stack_pieces",
     "surface",
-    "task",
-    "task_rows",
-    "workpiece",
+    "task_of",
+    "thinnest_nearby",
+    "with_goals",
+    "with_own_tool",
+    "within_limits",
 ]

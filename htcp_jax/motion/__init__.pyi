@@ -1,29 +1,28 @@
 from . import (
     arm_poses,
-    collision_checker,
     configurations,
-    home,
     lane_inputs,
     manipulability,
     motion,
     motion_check,
     plans,
     smoothing,
-    sparse_columns,
     start_cause,
-    start_check,
     step_functions,
     tool_cells,
     transfers,
 )
-from .collision_checker import CollisionChecker
+from .collision_checker import CollisionChecker, prove_call
+from .home import begin_at_home, leave_home
 from .motion import Motion
 from .plans import Plans
 from .problem import Execution, Problem
-from .sparse_columns import Tried, ViaPoints
+from .sparse_columns import DeadEnds, Tried, ViaPoints
+from .start_check import start_contact
 
 __all__ = [
     "CollisionChecker",
+    "DeadEnds",
     "Execution",
     "Motion",
     "Plans",
@@ -31,18 +30,18 @@ __all__ = [
     "Tried",
     "ViaPoints",
     "arm_poses",
-    "collision_checker",
+    "begin_at_home",
     "configurations",
-    "home",
     "lane_inputs",
+    "leave_home",
     "manipulability",
     "motion",
     "motion_check",
     "plans",
+    "prove_call",
     "smoothing",
-    "sparse_columns",
     "start_cause",
-    "start_check",
+    "start_contact",
     "step_functions",
     "tool_cells",
     "transfers",

@@ -13,11 +13,10 @@ near the wall, and the job defines what it may touch (`tip_guard`).
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles import tip_guard
-from htcp_jax.clearance.proof import bisection, motion_bound, motion_proof
+from htcp_jax.clearance.obstacles import TipGuard
+from htcp_jax.clearance.proof import ROUNDING_M, bisection, motion_proof
 from htcp_jax.device import Executor, tables
-from htcp_jax.model import Task
-from htcp_jax.model import task as tasks
+from htcp_jax.model import TCP_POSITION, Task
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.motion.step_functions import ADVANCE, CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
 from htcp_jax.numerics import ragged_rows
@@ -44,7 +43,7 @@ class CollisionChecker:
         guard: Walls that the tool's bare tip must not pass through; None if the tip may touch anywhere.
     """
 
-    def __init__(self, executor: Executor, settings: Settings, guard: tip_guard.TipGuard | None = None):
+    def __init__(self, executor: Executor, settings: Settings, guard: TipGuard | None = None):
         self.executor, self.task = executor, executor.task
         self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
 
@@ -86,7 +85,7 @@ class CollisionChecker:
         tube: motion_proof.Tube | None = None,
         *,
         kept: float | Float[np.ndarray, "n"] = 0.0,
-        resolution_m: float | Float[np.ndarray, "n"] = -motion_bound.ROUNDING_M,
+        resolution_m: float | Float[np.ndarray, "n"] = -ROUNDING_M,
         deepest: int | Int[np.ndarray, "n"] = motion_proof.DEEPEST,
         tip: bool = True,
     ) -> bisection.Proof:
@@ -160,7 +159,7 @@ def prove_call(
     b,
     tube: motion_proof.Tube | None = None,
     kept=0.0,
-    resolution_m=-motion_bound.ROUNDING_M,
+    resolution_m=-ROUNDING_M,
     deepest=motion_proof.DEEPEST,
 ) -> tuple:
     """Return the lane function and the tables with which `CollisionChecker.edges` calls the executor."""
@@ -174,6 +173,6 @@ def free_tubes(task: Task, inputs: LaneInputs) -> motion_proof.Tube:
     """Return tubes without conditions on the TCP or the task."""
     count = len(inputs.row)
     rows = ()
-    if task.parts != tasks.TCP_POSITION.parts:
+    if task.parts != TCP_POSITION.parts:
         rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
     return motion_proof.Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)

@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.proof import bisection, motion_proof
 from htcp_jax.device import tables
-from htcp_jax.model import ONE_POINT_M
-from htcp_jax.model import task as tasks
+from htcp_jax.model import ONE_POINT_M, TCP_POSITION
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
@@ -67,7 +66,7 @@ def _goals_at_ends(
 
     Goals are required on the path. The result is empty for the paper's task, which the tube alone enforces.
     """
-    if problem.task.parts == tasks.TCP_POSITION.parts:
+    if problem.task.parts == TCP_POSITION.parts:
         return ()
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)

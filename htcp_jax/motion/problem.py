@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.clearance import Obstacle, Obstacles, Scene
-from htcp_jax.clearance.obstacles import given_obstacle, of_workpiece, tip_guard
+from htcp_jax.clearance.obstacles import all_obstacles, make_tip_guard, with_given
 from htcp_jax.device import Executor
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
@@ -136,7 +136,7 @@ class Problem:
             scenarios = scenario_functions.stack(scenarios)
         elif scenarios.x_start.ndim == 1:
             scenarios = scenario_functions.stack([scenarios])
-        others, scenarios = given_obstacle.with_given(obstacles, jax.tree.map(np.asarray, scenarios))
+        others, scenarios = with_given(obstacles, jax.tree.map(np.asarray, scenarios))
         scenarios = start_check.with_refused(robot, others, scenarios, check_starts)
         task = Task(tolerance_m=settings.tolerance_m) if task is None else task
         _check_task(task, robot, scenarios)
@@ -149,7 +149,7 @@ class Problem:
     @cached_property
     def obstacles(self) -> Obstacles:
         """All obstacles, including the workpiece's."""
-        return of_workpiece.all_obstacles(self.workpiece, self.other_obstacles)
+        return all_obstacles(self.workpiece, self.other_obstacles)
 
     @cached_property
     def devices(self) -> list[jax.Device]:
@@ -173,7 +173,7 @@ class Problem:
 
     def _new_checkers(self) -> tuple[CollisionChecker, ...]:
         with compute_devices.on(self.devices[0]):
-            scene, guard = Scene(self.robot, self.obstacles, self.task), tip_guard.make_tip_guard(self.workpiece)
+            scene, guard = Scene(self.robot, self.obstacles, self.task), make_tip_guard(self.workpiece)
             extra = max(1, self.threads // max(1, len(self.to_plan)))  # threads per scenario
             each = (Executor(scene, self.settings, device, threads=extra) for device in self.devices)
             return tuple(CollisionChecker(executor, self.settings, guard) for executor in each)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.clearance.obstacles import Linearisation
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
@@ -24,7 +24,7 @@ from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.sparse_columns import ViaPoints
 from htcp_jax.motion.step_functions import TASK_ROWS, State
-from htcp_jax.solvers import path_qp
+from htcp_jax.solvers import PathQP, path_cost, solve_path_qp
 from htcp_jax.status import SegmentStatus
 
 TRUST = 0.2  # maximum step of a joint per round [rad or m]
@@ -45,7 +45,7 @@ class SmoothedPath:
     on_path: int  # see `Scenario`
     radius: Float[np.ndarray, "P"]  # radius of each trust region; 0 for a fixed configuration
     begins_anywhere: bool  # True if the start may move, as it is the configuration at the first target
-    seen: linearisation.Linearisation | None = None  # at each configuration and half way to it: (P, 2, ...)
+    seen: Linearisation | None = None  # at each configuration and half way to it: (P, 2, ...)
     slow: int = field(default=0)  # number of consecutive rounds with almost no saving
     rounds: int = 0  # number of rounds so far
 
@@ -137,7 +137,7 @@ class Smoothing:
                 path.rounds += 1
 
     def _cost(self, x: np.ndarray) -> float:
-        return path_qp.path_cost(x, self._weights)
+        return path_cost(x, self._weights)
 
     def _drop(self, paths: list[SmoothedPath]) -> None:
         """Drop via points if the straight segment without them is a motion."""
@@ -180,8 +180,8 @@ class Smoothing:
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
-        return path_qp.solve_path_qp(
-            path_qp.PathQP(
+        return solve_path_qp(
+            PathQP(
                 path.x, self._weights, path.constrained, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
                 path.begins_anywhere,
             )
@@ -209,7 +209,7 @@ class Smoothing:
 
     def _candidates(
         self, steps: list[tuple[SmoothedPath, np.ndarray]]
-    ) -> list[tuple[np.ndarray, linearisation.Linearisation, np.ndarray]]:
+    ) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
         """Return each path's configurations after a step, their linearisations, and True for rejected configurations.
 
         Only configurations that moved can be rejected.
@@ -250,9 +250,7 @@ class Smoothing:
             for path, own in zip(paths, _split_by_path(x, paths), strict=True)
         ]
 
-    def _measured(
-        self, paths: list[SmoothedPath], x: list[np.ndarray]
-    ) -> tuple[list[linearisation.Linearisation], list[np.ndarray]]:
+    def _measured(self, paths: list[SmoothedPath], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
         """Return the linearisations at configurations and half way to each one, and True for valid configurations."""
         inputs = self._inputs(paths)
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Scene, contacts, nearest_to
-from htcp_jax.clearance.obstacles import self_collision
+from htcp_jax.clearance.obstacles import SelfCollision, refused_pair
 from htcp_jax.device import lane_function, tables
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
@@ -224,8 +224,8 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
 def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause | None:
     """Return an overlap of a pair of capsules that self-collision excludes; None if there is none."""
     robot: Robot = problem.robot
-    for own in (each for each in problem.obstacles if isinstance(each, self_collision.SelfCollision)):
-        if (found := self_collision.refused_pair(own, robot, x)) is not None:
+    for own in (each for each in problem.obstacles if isinstance(each, SelfCollision)):
+        if (found := refused_pair(own, robot, x)) is not None:
             body, other = (robot.capsule_names[k] for k in (found.first, found.second))
             return StartCause(found.reason, body, robots.capsule_label(robot, other), found.depth_m)
     return None

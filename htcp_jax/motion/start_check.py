@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
-from htcp_jax.clearance.obstacles import of_workpiece, self_collision
+from htcp_jax.clearance.obstacles import RefusedPair, SelfCollision, all_obstacles, refused_pair
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model import robot as robots
@@ -55,9 +55,7 @@ def start_contact(
     """
     scenario = jax.tree.map(jnp.asarray, scenario)
     x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = Scene(
-        robots.lengthen_tool(robot, scenario.tool_extension_m), of_workpiece.all_obstacles(workpiece, obstacles)
-    )
+    scene = Scene(robots.lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
     distance, fixed = np.asarray(touch.distance), np.array(robot.capsule_link)[np.array(scene.rows.body)] < 0
     if fixed_first and (fixed & (distance <= 0)).any():
@@ -111,12 +109,12 @@ def with_refused(robot: Robot, obstacles: Obstacles, scenarios: Scenario, raises
         InputError: If there is such a scenario and `raises` is True.
     """
     refused = scenarios.refused.copy()
-    for own in (each for each in obstacles if isinstance(each, self_collision.SelfCollision)):
-        known: dict[bytes, self_collision.RefusedPair | None] = {}
+    for own in (each for each in obstacles if isinstance(each, SelfCollision)):
+        known: dict[bytes, RefusedPair | None] = {}
         for s in np.flatnonzero(refused == scenario_functions.NOT_REFUSED):
             for what, x in begins_at(jax.tree.map(lambda leaf, s=s: leaf[s], scenarios)).items():
                 if x.tobytes() not in known:
-                    known[x.tobytes()] = self_collision.refused_pair(own, robot, x)
+                    known[x.tobytes()] = refused_pair(own, robot, x)
                 if (pair := known[x.tobytes()]) is None:
                     continue
                 if raises:

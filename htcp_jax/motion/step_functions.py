@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, in_workpiece, is_clear
-from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.clearance.obstacles import Linearisation, linearise
 from htcp_jax.clearance.proof import bisection, motion_proof
 from htcp_jax.device import Loop, by_chunks, lane_function
-from htcp_jax.model import inverse_kinematics, kinematics
-from htcp_jax.model import task as tasks
+from htcp_jax.model import TaskLinear, kinematics, reanchor
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
-from htcp_jax.solvers import active_set, step_qp
+from htcp_jax.solvers import solve_step, step_qp
 from htcp_jax.types import Anywhere, Float, Int, Joints
 
 STEP_ROUNDING = 1e-6  # tolerance of QP solvers, relative to the longest joint step
@@ -29,14 +28,14 @@ class State(NamedTuple):
     """A configuration at a target with its measurements, or a table of n such states; not measured fields are None."""
 
     x: Float[Anywhere, "*n N"]  # configuration [rad or m]
-    linear: linearisation.Linearisation | None = None  # task and clearance to first order
+    linear: Linearisation | None = None  # task and clearance to first order
     clearance: Float[Anywhere, "*n"] | None = None  # D, the smallest distance of all rows [m]
     residual: Float[Anywhere, "*n"] | None = None  # residual of the task [m]
     tcp: Float[Anywhere, "*n 3"] | None = None  # position of the TCP, world [m]
 
 
 def prepare(
-    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: linearisation.Linearisation
+    settings: Settings, scene: Scene, lane: LaneInputs, x_ref, x_previous, linear: Linearisation
 ) -> step_qp.StepQP:
     """Return the step QP of one lane, equation (9).
 
@@ -95,7 +94,7 @@ def advance(
         smallest: True to linearise only the smallest clearance, see `linearise`.
     """
     x = jnp.clip(x_ref + y, scene.robot.lower, scene.robot.upper)
-    linear = linearisation.linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
+    linear = linearise(scene.robot, scene.obstacles, lane, x, scene.task, smallest)
     residual = scene.task.residual(linear.task.value, lane.target)
     return State(x, linear, jnp.min(linear.clearance.distance), residual, kinematics.tcp_position(scene.robot, x))
 
@@ -129,7 +128,7 @@ def track(
     lane: LaneInputs,
     x_ref: Joints,
     x_previous: Joints,
-    linear: linearisation.Linearisation,
+    linear: Linearisation,
     iteration: Int[jax.Array, ""],
 ) -> Loop:
     """Solve step QPs (9) on the device, one after the other: Algorithm 1, line 7.
@@ -157,7 +156,7 @@ def track(
 
     def step(scene: Scene, tracked: TrackingState) -> TrackingState:
         step_qp = prepare(settings, scene, lane, tracked.now.x, x_previous, tracked.now.linear)
-        found = active_set.solve_step(step_qp, settings.qp_tolerance)
+        found = solve_step(step_qp, settings.qp_tolerance)
         now = advance(settings, scene, lane, tracked.now.x, found.y, settings.clearance_rows == "smallest")
         return TrackingState(now, tracked.iteration + 1, found.status)
 
@@ -174,7 +173,7 @@ def is_configuration_clear(settings: Settings, scene: Scene, lane: LaneInputs, x
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Move x onto the lane's target by inverse kinematics, with a tenth of the usual tolerance."""
-    return inverse_kinematics.reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
@@ -215,9 +214,7 @@ def prove_path(
     return Loop(start, lambda search: search.going, lambda _, search: check(search), result)
 
 
-def task_rows(
-    settings: Settings, scene: Scene, lane: LaneInputs, linear: linearisation.Linearisation
-) -> tasks.TaskLinear:
+def task_rows(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:
     """Return the task's rows at the lane's target to first order, from the linearisation."""
     return scene.task.linear(*linear.task, lane.target)
 

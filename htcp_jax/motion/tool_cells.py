@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.device import Executor, lane_function, tables
-from htcp_jax.model import Robot, kinematics, rotations
+from htcp_jax.model import Robot, kinematics, quaternion_matrix
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 from htcp_jax.status import Exclusion
@@ -96,7 +96,7 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
     robot, task = scene.robot, scene.task
     cell = exclusion.ToolCell(task.tcp_place(lane.target), quaternion, rho)
     bounds = exclusion.tool_cell(scene, lane, cell, bodies)
-    turn = task.least_turn(robot, rotations.quaternion_matrix(quaternion), lane.target)
+    turn = task.least_turn(robot, quaternion_matrix(quaternion), lane.target)
     return bounds._replace(collides=bounds.collides | (turn > rho + ROUNDING_RAD))
 
 

@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import grid as grids
-from htcp_jax.motion import Plans, start_check
+from htcp_jax.jobs import Sweep
+from htcp_jax.motion import Plans, start_contact
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
@@ -110,7 +110,7 @@ def place(
             sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
         )
 
-        def plan(grid: grids.Sweep, method: str, into: Path) -> Run:
+        def plan(grid: Sweep, method: str, into: Path) -> Run:
             report.begin(STAGES[into.relative_to(folder).parts[0]])
             run = sweep(grid, [method], into)
             report.planned(run)
@@ -219,7 +219,7 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
     cell, scenario = batch.cells[0], jax.tree.map(itemgetter(0), batch.scenarios)
     why = Status(int(first[0])).message
     if Status(int(first[0])) in (Status.START_IN_COLLISION, Status.HOME_IN_COLLISION):
-        near = start_check.start_contact(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
+        near = start_contact(cell.robot, cell.workpiece, scenario, scenario.x_home, cell.obstacles)
         if near.clearance_m <= 0:
             why = f"{near.body} is {-1e3 * near.clearance_m:.3g} mm inside {near.other} in the first of them"
     shutil.rmtree(folder)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.jobs import grid as grids
+from htcp_jax.jobs import Sweep, load_sweep
 from htcp_jax.motion import Plans
 from htcp_jax.placement.place_file import CLEARANCE, Search
 from htcp_jax.runs import Run
@@ -27,7 +27,7 @@ MARGIN = "margin_m"
 QUICK = ("settings.smooth=false", "settings.beam_width=16", "settings.min_beam_width=4", "settings.self_motions=8")
 RAISED, FACTOR = 3, 3.0  # maximum number of larger margins; next margin / guaranteed clearance
 # Function (sweep, method, folder) that plans or resumes a sweep, and times it if the cycle time is an objective.
-Planner = Callable[[grids.Sweep, str, Path], Run]
+Planner = Callable[[Sweep, str, Path], Run]
 
 
 class MountingScores:
@@ -104,7 +104,7 @@ def sweep_of(
     values: Float[np.ndarray, "n d"],
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
-) -> grids.Sweep:
+) -> Sweep:
     """Return a sweep over mountings and seams.
 
     Each scenario uses the same random numbers as if its job were planned alone.
@@ -122,7 +122,7 @@ def sweep_of(
     if margin_m is not None:
         first[MARGIN] = margin_m.tolist()
     grid = [first, {"workpiece.path": list(search.seams)}] if search.seams else [first]
-    return replace(grids.load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
+    return replace(load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
 
 
 class MountingPlanner(NamedTuple):

@@ -1,14 +1,16 @@
-from . import batch, extensions, inserted_goals, methods, registry
+from . import batch, extensions, methods, registry
 from .batch import Progress
+from .inserted_goals import LostPlace, lost_place
 from .method import Method, WarmUp
 
 __all__ = [
+    "LostPlace",
     "Method",
     "Progress",
     "WarmUp",
     "batch",
     "extensions",
-    "inserted_goals",
+    "lost_place",
     "methods",
     "registry",
 ]

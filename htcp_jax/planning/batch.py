@@ -19,7 +19,7 @@ from htcp_jax.device import tables
 from htcp_jax.errors import InputError
 from htcp_jax.model import Scenario
 from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.motion import Plans, Problem, home, motion_check, smoothing, start_cause
+from htcp_jax.motion import Plans, Problem, begin_at_home, leave_home, motion_check, smoothing, start_cause
 from htcp_jax.planning import inserted_goals, methods, repeated_targets
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.record import with_separate_errors
@@ -72,7 +72,7 @@ def _planned_places(method: Method, problem: Problem) -> Plans:
     with _compiling(problem, calls) as compilations:
         if problem.check_starts:
             start_cause.check_starts(problem, compilations)
-        problem, from_home = home.leave_home(problem)
+        problem, from_home = leave_home(problem)
         if problem.check_starts:
             start_cause.refuse_standing_overlaps(problem)
         compile_s = _warm_up(problem)  # now it is known whether any scenario has a start
@@ -96,7 +96,7 @@ def _planned_rows(
     problem = problem.as_planned(plans)
     if problem.check_paths:
         plans = motion_check.check_remaining_paths(problem, plans)
-    plans = home.begin_at_home(problem, plans, from_home)
+    plans = begin_at_home(problem, plans, from_home)
     if problem.check_paths:
         plans = motion_check.verify_motions(problem, plans)
         if method.smooth if problem.settings.smooth is None else problem.settings.smooth:

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device import lane_function, tables
-from htcp_jax.model import Robot, inverse_kinematics, kinematics, rotations
+from htcp_jax.model import Robot, damped_step, kinematics, quaternion_matrix, reanchor, sine_error
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import CollisionChecker, configurations, lane_inputs, step_functions, tool_cells
 from htcp_jax.numerics import product
@@ -66,16 +66,16 @@ def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quate
         The configuration and its residual; the clearance is not measured.
     """
     robot, task = scene.robot, scene.task
-    place, turned = task.tcp_place(lane.target), rotations.quaternion_matrix(quaternion)
+    place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
 
     def step(_, x):
-        turn = rotations.sine_error(kinematics.link_poses(robot, x)[-1, :3, :3], turned)
+        turn = sine_error(kinematics.link_poses(robot, x)[-1, :3, :3], turned)
         error = jnp.concatenate([place - kinematics.tcp_position(robot, x), LENGTH_M * turn])
         jac = jnp.concatenate([kinematics.jacobian(robot, x), LENGTH_M * _angular_velocity(robot, x)])
-        return inverse_kinematics.damped_step(robot, x, error, jac, DAMPING)
+        return damped_step(robot, x, error, jac, DAMPING)
 
     x = jax.lax.fori_loop(0, STEPS, step, x)
-    x, residual = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
+    x, residual = reanchor(robot, x, lane.target, task.fine_m, task=task)
     return step_functions.State(x, clearance=jnp.zeros(()), residual=residual)
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
-from htcp_jax.clearance.obstacles import of_workpiece
+from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import Executor, lane_function
-from htcp_jax.model import Robot, Scenario, Task, Workpiece, inverse_kinematics
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, reanchor
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Plans, lane_inputs
@@ -97,7 +97,7 @@ def obstruction(
         task: The constraints at the target; None: the TCP's position.
     """
     inputs = lane_inputs.lane_inputs(scenarios.stack([scenario]), np.zeros(1, int), np.array([target]))
-    known = of_workpiece.all_obstacles(workpiece, obstacles)
+    known = all_obstacles(workpiece, obstacles)
     (found,) = obstructions(robot, known, inputs, np.asarray(x_last)[None], inputs.target, settings, task)
     return found
 
@@ -168,7 +168,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
             configuration [rad or m].
     """
     robot, obstacles, task = scene
-    x, residual = inverse_kinematics.reanchor(robot, x_last, goal, task.fine_m, task=task)
+    x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
     touch = contacts(robot, obstacles, where, x)
     row = jnp.argmin(touch.distance)
     surface, by_piece = (of(robot, scene.rows, touch)[row] for of in (surface_points, by_pieces))

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance import Obstacles, Scene
-from htcp_jax.clearance.obstacles import of_workpiece, tip_guard
+from htcp_jax.clearance.obstacles import all_obstacles, make_tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
 from htcp_jax.motion import CollisionChecker, lane_inputs, tool_cells
@@ -90,8 +90,8 @@ def reachable_prefixes(
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    scene = Scene(robot, of_workpiece.all_obstacles(workpiece, obstacles), task)
-    checker = CollisionChecker(Executor(scene, settings), settings, tip_guard.make_tip_guard(workpiece))
+    scene = Scene(robot, all_obstacles(workpiece, obstacles), task)
+    checker = CollisionChecker(Executor(scene, settings), settings, make_tip_guard(workpiece))
     search = ConfigurationSearch(checker, robot, scenarios.tool_extension_m)
     cells = proof_cells if task.holds_tcp else 0
     threads = devices.default_threads([checker.executor.device], settings.qp)

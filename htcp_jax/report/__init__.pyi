@@ -1,18 +1,20 @@
-from . import chapter, charts, gate, reach_study, tables, timing_table, validation
+from . import charts, gate, reach_study, timing_table, validation
+from .chapter import part_facts
 from .document import Table
 from .place_pictures import draw_search
 from .report import make_report, report_record, write_report
+from .tables import result_row
 
 __all__ = [
     "Table",
-    "chapter",
     "charts",
     "draw_search",
     "gate",
     "make_report",
+    "part_facts",
     "reach_study",
     "report_record",
-    "tables",
+    "result_row",
     "timing_table",
     "validation",
     "write_report",

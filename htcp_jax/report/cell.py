@@ -18,7 +18,7 @@ from htcp_jax.motion import Plans
 from htcp_jax.reachability import Obstruction, Reach
 from htcp_jax.runs import Run
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.viewer import replay as recordings
+from htcp_jax.viewer import Replays, recorded_replays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,11 +37,11 @@ class OpenedScene:
         self._colliding_bodies: dict[str, dict[int, Obstruction]] = {}
 
     @cached_property
-    def _opened(self) -> tuple[recordings.Replays | None, str]:
+    def _opened(self) -> tuple[Replays | None, str]:
         try:
             with warnings.catch_warnings():  # the sweep has already shown the warnings on the cloud and its units
                 warnings.simplefilter("ignore")
-                return recordings.recorded_replays(plan_sets.plans_of_run(self._run), self._plans.__getitem__), ""
+                return recorded_replays(plan_sets.plans_of_run(self._run), self._plans.__getitem__), ""
         except InputError as error:
             return None, str(error)
 

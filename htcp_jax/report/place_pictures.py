@@ -19,7 +19,7 @@ from htcp_jax.report.place_tables import SearchTable, read_search
 from htcp_jax.runs import Run, open_run
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.system import files
-from htcp_jax.viewer import replay
+from htcp_jax.viewer import recorded_replays
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +95,7 @@ def _blocking(run: Run, mountings: Int[np.ndarray, "m"], k: int) -> list[str]:
     plans = run.plans(method)
     whole = plans.outcomes.can_be_driven.reshape(-1, k)
     rows = (mountings * k + whole[mountings].argmin(axis=1)).tolist()
-    found = replay.recorded_replays(plan_sets.plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
+    found = recorded_replays(plan_sets.plans_of_run(run), {method: plans}.__getitem__).obstructions(method, rows)
     return [each.cause("no body collides") for each in found.values()]
 
 

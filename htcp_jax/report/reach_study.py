@@ -15,9 +15,9 @@ import numpy as np
 import pyarrow as pa
 
 from htcp_jax import viewer
-from htcp_jax.clearance.obstacles import of_workpiece
+from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import tables as lanes
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import Batch, load_sweep_or_job
 from htcp_jax.motion import lane_inputs
 from htcp_jax.notebook import html_facts
 from htcp_jax.reachability import (
@@ -50,7 +50,7 @@ class ReachStudy:
     """Reach (reachable, excluded or undecided) of every target on the path, for a job or a sweep's scenarios."""
 
     name: str
-    batch: grid.Batch
+    batch: Batch
     found: Reachability
     requested_rad: float  # requested angular resolution of the tool orientations
     proof_cells: int
@@ -76,7 +76,7 @@ class ReachStudy:
             own, measured = open_[~np.isnan(self.each.x[tuple(open_.T)]).any(axis=1)], []
             if len(own):
                 inputs, x = lane_inputs.lane_inputs(self.batch.scenarios, *own.T), self.each.x[tuple(own.T)]
-                walls = of_workpiece.all_obstacles(cell.workpiece, cell.obstacles)
+                walls = all_obstacles(cell.workpiece, cell.obstacles)
                 measured = obstruction.obstructions(
                     cell.robot, walls, inputs, x, inputs.target, cell.settings, cell.task
                 )
@@ -204,7 +204,7 @@ def reach_study(
     Raises:
         InputError: If the input is invalid.
     """
-    spec = grid.load_sweep_or_job(config, None, overrides)
+    spec = load_sweep_or_job(config, None, overrides)
     batch = spec.batch(limit)
     report = progress or (lambda done, count: None)
     found = search_batch(batch, resolution_rad, proof_cells, True, lambda _, done, count: report(done, count))
@@ -212,7 +212,7 @@ def reach_study(
 
 
 def search_batch(
-    batch: grid.Batch,
+    batch: Batch,
     resolution_rad: float,
     proof_cells: int,
     each: bool,
@@ -261,7 +261,7 @@ def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
     return lanes.gather(lanes.concatenate([found for _, found in parts]), order)
 
 
-def record_of(batch: grid.Batch, found: Reachability, requested_rad: float, proof_cells: int, seed: int) -> dict:
+def record_of(batch: Batch, found: Reachability, requested_rad: float, proof_cells: int, seed: int) -> dict:
     """Return the contents of reachability.json, without the comparison with a run's methods.
 
     Args:
@@ -285,7 +285,7 @@ def record_of(batch: grid.Batch, found: Reachability, requested_rad: float, proo
     return record
 
 
-def _resolution(batch: grid.Batch, found: Reachability, requested_rad: float) -> float | None:
+def _resolution(batch: Batch, found: Reachability, requested_rad: float) -> float | None:
     """Return the coarsest angular resolution that the search used [rad]; None if a task does not constrain the TCP."""
     if not all(cell.task.holds_tcp for cell in batch.cells):
         return None

@@ -4,9 +4,7 @@ from . import (
     input_files,
     labels,
     manifest,
-    motion_summary,
     open,
-    parameters,
     plan_folder,
     provenance,
     reachability_file,
@@ -16,12 +14,16 @@ from . import (
     timing_file,
 )
 from .columns import Column
+from .motion_summary import MotionSummary, summarise_motion
 from .open import PlanSet, open_plans
+from .parameters import Parameters, of_job
 from .run_folder import Run, open_run
 from .running import RunningSummary
 
 __all__ = [
     "Column",
+    "MotionSummary",
+    "Parameters",
     "PlanSet",
     "Run",
     "RunningSummary",
@@ -30,14 +32,14 @@ __all__ = [
     "input_files",
     "labels",
     "manifest",
-    "motion_summary",
+    "of_job",
     "open",
     "open_plans",
     "open_run",
-    "parameters",
     "plan_folder",
     "provenance",
     "reachability_file",
+    "summarise_motion",
     "summary",
     "sweep",
     "tables",

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from htcp_jax.io import files_of_cell
-from htcp_jax.io.robots import safe_xml
+from htcp_jax.io.robots import model_files
 from htcp_jax.runs.identity import file_hash
 from htcp_jax.spec import config_file, model_source
 
 PARTS = {
-    **{f"{key}.model": safe_xml.model_files for key in model_source.KEYS},
+    **{f"{key}.model": model_files for key in model_source.KEYS},
     "cell.model": files_of_cell,
 }  # by key: function that returns the files that a model file includes
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.device import tables
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import batch
@@ -32,9 +32,7 @@ class PlannedShard(NamedTuple):
     by: dict
 
 
-def plan_here(
-    batch: grid.Batch, execution: Execution, shards: Sequence[Shard], report: Callable
-) -> Iterator[PlannedShard]:
+def plan_here(batch: Batch, execution: Execution, shards: Sequence[Shard], report: Callable) -> Iterator[PlannedShard]:
     """Plan shards one by one, and yield the plans of each.
 
     Args:
@@ -53,14 +51,14 @@ def plan_here(
         yield PlannedShard(shard, plans, by)
 
 
-def scenarios_of(batch: grid.Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
+def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
     """Return the scenarios of a block: the index of each scenario in `batch.cells`, and the stacked scenarios."""
     rows = slice(span.first, span.last + 1)
     return batch.cell[rows], tables.gather(batch.scenarios, rows)
 
 
 def plan_cells(
-    cells: Sequence[grid.PlannerInputs],
+    cells: Sequence[PlannerInputs],
     cell: Int[np.ndarray, "S"],
     scenarios: Scenario,
     method: str,

@@ -20,7 +20,7 @@ from jaxtyping import Int
 
 from htcp_jax.caching import cache_folder
 from htcp_jax.errors import InputError, Lost
-from htcp_jax.jobs import grid
+from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import registry
@@ -37,7 +37,7 @@ GPU_SHARE = 0.75  # share of a GPU's memory that JAX allocates by default
 
 
 @contextlib.contextmanager
-def on_ray(batch: grid.Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
+def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
     """Connect to a Ray cluster and yield a function plan(shards, report), which yields the plans of each shard.
 
     Args:
@@ -120,14 +120,12 @@ def _constants(ray, **values: int | bool) -> Iterator[None]:
         known.update(before)
 
 
-def _on_host(cell: grid.PlannerInputs) -> grid.PlannerInputs:
+def _on_host(cell: PlannerInputs) -> PlannerInputs:
     arrays = jax.tree.map(np.asarray, (cell.robot, cell.obstacles))
     return cell._replace(robot=arrays[0], obstacles=arrays[1])
 
 
-def _plan(
-    ray, batch: grid.Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable
-) -> Iterator[PlannedShard]:
+def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[PlannedShard]:
     """Plan shards on the cluster, and yield the plans of each shard when it is finished.
 
     More tasks are queued than the cluster can run, so that workers are never idle and the cluster may scale up. The
@@ -205,7 +203,7 @@ def _own_node_answers(ray) -> bool:
 
 
 def _plan_shard(
-    method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: grid.PlannerInputs
+    method: str, scenarios: Scenario, share: configs.RayConfig, cell: Int[np.ndarray, "S"], *cells: PlannerInputs
 ) -> tuple[Plans, dict]:
     """Plan one shard on a worker, and return the plans with their provenance."""
     cache_folder.enable()

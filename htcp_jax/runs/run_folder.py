@@ -23,7 +23,7 @@ from pydantic import ValidationError
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import arrays
-from htcp_jax.jobs import grid_axes, grid_points
+from htcp_jax.jobs import grid_axes, points_of
 from htcp_jax.motion import Plans
 from htcp_jax.notebook import html_facts
 from htcp_jax.runs import tables
@@ -131,7 +131,7 @@ class Run:
         try:
             groups = tuple(grid_axes.from_record(group, joints) for group in grid)
             stated = frozenset(key for group in grid for key in group.get("stated", ()))
-            points = grid_points.points_of(str(self.folder / MANIFEST), config, groups, stated, len(joints))
+            points = points_of(str(self.folder / MANIFEST), config, groups, stated, len(joints))
             return tuple(islice(points, self.manifest.count))
         except InputError:
             raise

@@ -23,8 +23,7 @@ from jaxtyping import Float
 from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
-from htcp_jax.jobs import grid as grids
-from htcp_jax.jobs import grid_axes, seeded
+from htcp_jax.jobs import Batch, Sweep, grid_axes, load_sweep, seeded
 from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import methods as planning_methods
@@ -55,7 +54,7 @@ class SweepProgress(NamedTuple):
 
 
 def sweep(
-    spec: str | Path | Mapping[str, Any] | grids.Sweep,
+    spec: str | Path | Mapping[str, Any] | Sweep,
     methods: str | Sequence[str] = "all",
     out: str | Path | None = None,
     *,
@@ -97,11 +96,11 @@ def sweep(
     """
     with devices.on(devices.choose(device_of(on, device))[0]):
         chosen = method_names(methods)
-        if isinstance(spec, grids.Sweep):
+        if isinstance(spec, Sweep):
             if config is not None or overrides or seed is not None:
                 raise InputError("the sweep is loaded already; pass config, overrides and seed to load_sweep")
         else:
-            spec = grids.load_sweep(spec, config, seeded(overrides, seed))
+            spec = load_sweep(spec, config, seeded(overrides, seed))
         for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
             if value is not None and not 1 <= value <= grid_axes.MOST:
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
@@ -161,9 +160,7 @@ def device_of(on: str, device: str | None) -> str | None:
     return "cpu"
 
 
-def keep_plans(
-    spec: grids.Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = SHARD_SCENARIOS
-) -> Run:
+def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = SHARD_SCENARIOS) -> Run:
     """Write existing plans as a run, and return the run. Existing files in `out` are deleted.
 
     Args:
@@ -210,7 +207,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
+def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
     """Return the rows of a shard in the tables of targets and of scenarios, by name of the table."""
     rows = slice(span.first, span.last + 1)
     joints, points = joint_columns(batch.robot), batch.points[rows]
@@ -222,7 +219,7 @@ def tables(batch: grids.Batch, method: str, span: Span, plans: Plans) -> dict[st
     }
 
 
-def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
+def _manipulability(batch: Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
     """Return the manipulability at each target of a shard's scenarios [m/rad]; NaN at targets that are not tracked."""
     (cell, scenarios), found = scenarios_of(batch, span), np.full(plans.status.shape, np.nan)
     s, t = np.nonzero(plans.tracked)
@@ -234,7 +231,7 @@ def _manipulability(batch: grids.Batch, span: Span, plans: Plans) -> Float[np.nd
     return found
 
 
-def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
+def _causes(batch: Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
     """Return the reasons why scenarios of a shard could not begin, by index in the shard; others are not included."""
     found: dict[int, start_cause.StartCause] = {}
     (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
@@ -247,9 +244,7 @@ def _causes(batch: grids.Batch, span: Span, plans: Plans) -> dict[int, start_cau
     return found
 
 
-def _manifest(
-    spec: grids.Sweep, batch: grids.Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
-) -> Manifest:
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
     """Return the manifest of a requested run; it contains no shards yet."""
     config = spec.config.model_dump(mode="json")
     grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
@@ -282,14 +277,14 @@ def _manifest(
     )
 
 
-def _code(spec: grids.Sweep, methods: tuple[str, ...]) -> dict[str, str]:
+def _code(spec: Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
     kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
     rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
-def _planner(on: str, methods: tuple[str, ...], batch: grids.Batch, spec: grids.Sweep, execution: Execution):
+def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, execution: Execution):
     """Return a context manager that yields plan(shards, report), which yields a `PlannedShard` for each shard."""
     if on == "here":
         return contextlib.nullcontext(partial(plan_here, batch, execution))

@@ -16,7 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io import arrays
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
-from htcp_jax.motion import Plans, Tried, ViaPoints, motion, sparse_columns, start_cause
+from htcp_jax.motion import DeadEnds, Plans, Tried, ViaPoints, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
 from htcp_jax.status import Exclusion, SegmentStatus, Status
@@ -224,7 +224,7 @@ def plans_of(
     ended = targets.filter(targets[TRIED[0]].is_valid())  # a small part of all rows
     rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
     ends = {row[:2]: Tried(*(count or 0 for count in row[2:-1]), EXCLUSIONS[row[-1]]) for row in rows}
-    return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=sparse_columns.DeadEnds.of(ends))
+    return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=DeadEnds.of(ends))
 
 
 _READ = {  # arrays of `Plans` that are read as they are, with their columns

@@ -7,7 +7,6 @@ from . import (
     model_source,
     obstacle_kind,
     strict_model,
-    strict_yaml,
     task_list,
     tool,
 )
@@ -31,6 +30,7 @@ from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, templa
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
 from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
+from .strict_yaml import Quantity, parse_mapping, read_yaml, yaml_text
 from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
 from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
 from .tool import Tool
@@ -71,6 +71,7 @@ __all__ = [
     "PlacedModel",
     "PlanConfig",
     "PointRow",
+    "Quantity",
     "Registry",
     "RobotConfig",
     "Slot",
@@ -95,16 +96,18 @@ __all__ = [
     "model_source",
     "numbers_of",
     "obstacle_kind",
+    "parse_mapping",
     "parse_override",
     "path_row",
     "put_key",
     "read_mapping",
+    "read_yaml",
     "split_name",
     "strict_model",
-    "strict_yaml",
     "task_list",
     "template_of",
     "tool",
     "value_at",
     "with_arrays",
+    "yaml_text",
 ]

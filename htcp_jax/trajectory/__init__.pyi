@@ -1,9 +1,9 @@
-from . import figures, plan_program
 from .displacement import tcp_at
+from .figures import ProgramFigures, Share, program_figures
 from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
 from .limits_file import check_ranges, limits_of_job, limits_overrides
-from .plan_program import PlanProgram
+from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, with_program
 from .program import Program
 from .run_timing import check_limits, time_run
 from .timed_motion import TimedMotion
@@ -13,14 +13,19 @@ __all__ = [
     "PeakTorque",
     "PlanProgram",
     "Program",
+    "ProgramFigures",
+    "Share",
     "TimedMotion",
     "check_limits",
     "check_ranges",
-    "figures",
     "format_of",
     "limits_of_job",
     "limits_overrides",
-    "plan_program",
+    "program_figures",
+    "program_of",
+    "program_of_plans",
+    "requested_feed",
     "tcp_at",
     "time_run",
+    "with_program",
 ]

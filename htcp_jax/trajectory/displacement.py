@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from htcp_jax.clearance.proof import motion_bound
+from htcp_jax.clearance.proof import OUTSIDE_M, arm_points, lever_bounds
 from htcp_jax.device import tables as device_tables
-from htcp_jax.model import Robot, kinematics, task, task_rows
+from htcp_jax.model import Feature, Robot, feature_at, kinematics
 from htcp_jax.numerics import safe_norm
 
 ROWS = 256  # tables are padded to this number of rows times a power of two, so that few sizes are compiled
@@ -60,7 +60,7 @@ class Displacement(NamedTuple):
     features: Float[np.ndarray, "*S F"]  # displacement of each feature: of a point [m], of a direction as a chord
 
 
-def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[task_rows.Feature, ...] = ()) -> ArmLevers:
+def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, ...] = ()) -> ArmLevers:
     """Return the levers and Jacobians of an arm's points at k configurations.
 
     Args:
@@ -86,9 +86,7 @@ def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
     """Return a bound on the motion of a convex piece's points about its capsule's axis, by hinge angle [m/rad]."""
     if robot.pieces is None:
         return 0.0
-    reach = np.where(
-        np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + motion_bound.OUTSIDE_M, 0.0
-    )
+    reach = np.where(np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + OUTSIDE_M, 0.0)
     moves = np.arange(len(robot.slides))[None] <= np.array(robot.capsule_link)[:, None]
     bodies = reach[:, None] * (moves & ~np.array(robot.slides))
     return np.concatenate([bodies, bodies, np.zeros((1 + features, len(robot.slides)))])
@@ -131,7 +129,7 @@ def bend_bound(
 
 def _levers(arm: ArmLevers, within: np.ndarray) -> np.ndarray:
     """Return the bounds l_j, see the module, for joints within `within` of the configurations."""
-    return np.stack(np.broadcast_arrays(*motion_bound.lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
+    return np.stack(np.broadcast_arrays(*lever_bounds(arm.levers, within, arm.hinge)[0]), axis=-1)
 
 
 def _second(arm: ArmLevers, lever: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -154,7 +152,7 @@ def in_padded_sizes(function: Callable, robot: Robot, *tables: Float[np.ndarray,
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _point_slopes(robot: Robot, x):
-    points, links = motion_bound.arm_points(robot, x)
+    points, links = arm_points(robot, x)
     slopes = kinematics.point_jacobians(robot, x, points, links)
     return safe_norm(slopes.swapaxes(1, 2)), slopes, points[-1]
 
@@ -167,5 +165,5 @@ def _tcp_and_jacobian(robot: Robot, x):
 
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, None, 0))
-def _features(features: tuple[task_rows.Feature, ...], robot: Robot, x):
-    return (jnp.stack([jax.jacfwd(partial(task.feature_at, robot, feature=feature))(x) for feature in features]),)
+def _features(features: tuple[Feature, ...], robot: Robot, x):
+    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)

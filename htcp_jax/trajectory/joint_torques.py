@@ -17,7 +17,15 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.io.robots import chain_of_file, compile_spec, composed, delete_all, fix_joints, joint_name, massive_bodies
+from htcp_jax.io.robots import (
+    chain_of_file,
+    compile_spec,
+    delete_all,
+    fix_joints,
+    joint_name,
+    massive_bodies,
+    read_model,
+)
 from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -50,7 +58,7 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     """
     source, turned = (arm.file, arm.base_rpy_rad) if tree is None else (tree, tool.ZERO)
     path = model_source.label_of(source)
-    spec = composed.read_model(source)
+    spec = read_model(source)
     delete_all(spec, spec.tuples, spec.excludes, spec.geoms, spec.meshes)
     model = compile_spec(spec, path)
     fix_joints(model, path, dict(arm.locked))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import model_file
+from htcp_jax.io.robots import joints_in_file
 from htcp_jax.jobs import build
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
@@ -126,7 +126,7 @@ class PlanProgram(NamedTuple):
             pulses=self._pulses(),
             groups=groups,
             control_step_s=requested.control_step_s,
-            in_file=model_file.joints_in_file(source, tuple(locked)) if self.robot.part_moves or locked else None,
+            in_file=joints_in_file(source, tuple(locked)) if self.robot.part_moves or locked else None,
             locked=locked,
         )
 

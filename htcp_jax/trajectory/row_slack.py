@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.proof import row_proof
-from htcp_jax.model import Robot, Task, task_rows
+from htcp_jax.model import Feature, Robot, Row, Task
 from htcp_jax.trajectory.displacement import in_padded_sizes
 
 PIECES = 32  # number of intervals per leg
@@ -31,12 +31,12 @@ PIECES = 32  # number of intervals per leg
 class RowSlacks(NamedTuple):
     """Slack of R rows of a task, at m legs or m via points."""
 
-    rows: tuple[task_rows.Row, ...]
+    rows: tuple[Row, ...]
     left: Float[np.ndarray, "m R"]  # slack: of points [m], of axes and frames as a chord
     apart: Float[np.ndarray, "m R"]  # lower bound r on the distance of an axis's place [m]; inf: no place
 
     @property
-    def features(self) -> tuple[task_rows.Feature, ...]:
+    def features(self) -> tuple[Feature, ...]:
         """Features of all rows, concatenated."""
         return tuple(feature for row in self.rows for feature in row.features)
 

@@ -24,7 +24,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.motion import plans
 from htcp_jax.runs import Run, identity, labels, reachability_file
 from htcp_jax.runs import manifest as manifests
-from htcp_jax.spec import strict_model, strict_yaml
+from htcp_jax.spec import read_yaml, strict_model
 from htcp_jax.status import Status
 from htcp_jax.system import output_files
 from htcp_jax.validation.result import MethodCheck, Refutation
@@ -212,7 +212,7 @@ def read_baseline(file: Path) -> Baseline:
     Raises:
         InputError: If the file cannot be read, is damaged, or is not a baseline.
     """
-    return strict_model.validate_model(strict_yaml.read_yaml(file), Baseline, str(file))
+    return strict_model.validate_model(read_yaml(file), Baseline, str(file))
 
 
 def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] | None = None) -> Baseline:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, composed, read_joint_limits
+from htcp_jax.io.robots import LinkMeshes, read_joint_limits, read_model
 from htcp_jax.spec import Tool, is_limits_file, model_source
 from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
@@ -78,7 +78,7 @@ class MujocoArm:
         locked: Mapping[str, float] | None = None,
         pieces: bool = True,
     ):
-        spec = composed.read_model(path)
+        spec = read_model(path)
         self._source, self._locked = path, locked or {}
         self._list, self._listed_together = _list(spec), _listed_together(spec)
         self._mounted = {body.name for body in tool.bodies} if tool else set()
@@ -288,7 +288,7 @@ class MujocoArm:
 
 def _compile(path: model_source.ModelSource, tcp: str, tool: Tool | None) -> tuple[mujoco.MjModel, int]:
     """Return a model whose geoms are only capsules, spheres, the tool's bodies and the probe, and its TCP site."""
-    spec = composed.read_model(path)
+    spec = read_model(path)
     try:
         for geom in list(spec.geoms):
             if geom.type not in (_SPHERE, _CAPSULE):

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from htcp_jax.runs import parameters
+from htcp_jax.runs import Parameters
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import config as configs
 
@@ -75,7 +75,7 @@ class Results(NamedTuple):
     files: dict[str, str]  # SHA-256 of the result files
 
 
-def part_pose(part: configs.WorkpieceConfig, pose: parameters.Parameters) -> tuple[np.ndarray, np.ndarray]:
+def part_pose(part: configs.WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Return the rotation (3, 3) and the translation (3,) [m] from the workpiece frame to the world.
 
     The neutral pose is rotated about the pivot (about world x, then y, then z) and then shifted.

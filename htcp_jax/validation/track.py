@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs import parameters
+from htcp_jax.runs import of_job
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import CheckedScene, TargetClearances, Wall
@@ -171,7 +171,7 @@ def scene_of(
     Raises:
         InputError: If the number of saved targets differs from the configuration's.
     """
-    part, pose, workpiece = track.config.workpiece, parameters.of_job(track.config), results.workpiece(track.config)
+    part, pose, workpiece = track.config.workpiece, of_job(track.config), results.workpiece(track.config)
     rotate, translate = part_pose(part, pose)
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)

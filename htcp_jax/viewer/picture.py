@@ -23,7 +23,7 @@ from htcp_jax.model import Robot, Scenario, Workpiece, kinematics, surface
 from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
-from htcp_jax.runs import motion_summary
+from htcp_jax.runs import MotionSummary, summarise_motion
 from htcp_jax.status import Status
 from htcp_jax.viewer.arm_pose import ArmPose, arms_at, moved, pieces_at, roots_at, seen, together
 from htcp_jax.viewer.colours import (
@@ -92,7 +92,7 @@ def draw_plan(
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
     x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
     drawn = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
-    motion = motion_summary.summarise_motion(plans, int(scenario.on_path), row)
+    motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes, (view, T) in zip(figure.axes, drawn, strict=True):
         axes.add_collection(LineCollection(view.flat(moved(normals, T)), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(moved(plans.target[row], T)), motion)
@@ -297,14 +297,14 @@ def _draw_targets(axes: Axes, view: View, targets: Float[np.ndarray, "T 3"], sta
         axes.scatter(*flat[style.where].T, edgecolors=PAPER, zorder=5, **look)
 
 
-def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: motion_summary.MotionSummary) -> None:
+def _mark_dwells(axes: Axes, flat: Float[np.ndarray, "T 2"], motion: MotionSummary) -> None:
     """Draw squares around the targets at which the arm dwells, that is, changes its configuration."""
     look = {"s": 90, "marker": "s", "facecolors": "none", "edgecolors": DWELL, "linewidths": 1.6}
     axes.scatter(*flat[list(motion.dwells)].T, zorder=6, **look)
 
 
 def _draw_events(
-    axes: Axes, motion: motion_summary.MotionSummary, end: plan_arrays.Outcome, targets: int, colliding_body: str
+    axes: Axes, motion: MotionSummary, end: plan_arrays.Outcome, targets: int, colliding_body: str
 ) -> None:
     """Draw vertical lines at dwells, the failed target, the end of the executable motion, and its minimum clearance.
 

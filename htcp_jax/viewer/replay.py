@@ -27,7 +27,7 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
-from htcp_jax.runs import PlanSet, motion_summary, open_plans
+from htcp_jax.runs import MotionSummary, PlanSet, open_plans, summarise_motion
 from htcp_jax.spec import PlanConfig
 from htcp_jax.viewer.arm_pose import arms_at, links_at, moved, roots_at
 from htcp_jax.viewer.colours import is_tool
@@ -86,7 +86,7 @@ class Replay(NamedTuple):
     links: Sequence[Float[np.ndarray, "K 4 4"] | None]  # poses of the capsules' links
     witness: Witness
     motion: Motion  # motion up to the last tracked target
-    summary: motion_summary.MotionSummary  # figures of the executable part
+    summary: MotionSummary  # figures of the executable part
     narrow: NarrowSegment | None  # narrowest segment of the executable part
     segment_status: Int8[np.ndarray, "T"]  # `status.SegmentStatus`
     segment_clearance: Float[np.ndarray, "T"]  # guaranteed clearance along the segment to each target
@@ -177,7 +177,7 @@ class Replays:
             x[obstruction_module.blocked_target(plans, number)] = blocked.x
         robot = robots.lengthen_tool(cell.robot, placement.tool_extension_m)
         alone, on_path = plans.rows([number]), min(cell.approach, len(x))
-        summary = motion_summary.summarise_motion(alone, on_path)
+        summary = summarise_motion(alone, on_path)
         looked_at = _segment_samples(alone, summary.clearance_target)
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         shape = arms_at(robot, x)
@@ -326,7 +326,7 @@ def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 
 
-def _narrow(summary: motion_summary.MotionSummary, seen: Witness) -> NarrowSegment | None:
+def _narrow(summary: MotionSummary, seen: Witness) -> NarrowSegment | None:
     """Return the segment with the smallest guaranteed clearance; None if no segment is executable.
 
     Args:

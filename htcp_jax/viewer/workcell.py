@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import of_workpiece
+from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
-from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario_setup
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, interior_plane_of
 from htcp_jax.model import surface as surfaces
-from htcp_jax.runs import PlanSet, parameters, plan_folder
+from htcp_jax.runs import Parameters, PlanSet, plan_folder
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.spec import PlanConfig, numbers_of
 
@@ -44,7 +44,7 @@ class Workcell:
     @cached_property
     def obstacle(self) -> Obstacles:
         """Workpiece and other obstacles, for clearance queries."""
-        return of_workpiece.all_obstacles(self.workpiece, build.obstacles_of(self.config.cell, self.robot))
+        return all_obstacles(self.workpiece, build.obstacles_of(self.config.cell, self.robot))
 
     @cached_property
     def fixtures(self) -> surfaces.WorldGeometry:
@@ -166,7 +166,7 @@ def _shared(job: PlanConfig) -> tuple:
     return build.robot_key(job), build.workpiece_key(job), job.approach, job.settings, job.cell
 
 
-def _placement(robot: Robot, workpiece: Workpiece, given: parameters.Parameters) -> Placement:
+def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
     turn = given.rotation_y_rad, given.rotation_z_rad
     T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
-    return Placement(T, scenario_setup.interior_plane_of(robot, workpiece, T), given.tool_extension_m)
+    return Placement(T, interior_plane_of(robot, workpiece, T), given.tool_extension_m)

@@ -24,7 +24,7 @@ import numpy as np
 
 from htcp_jax.clearance.distance.gjk import Nearest, nearest
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
-from htcp_jax.model import ConvexPiece, convex_piece
+from htcp_jax.model import ConvexPiece, make_piece
 from htcp_jax.numerics import product, safe_divide, safe_norm, segment_parameter
 from htcp_jax.types import Array, Float, Int, Pose, Scalar, Vector3
 
@@ -55,7 +55,7 @@ Body = PlacedPiece | Rod | Box | Cylinder | HalfSpace
 
 @cache
 def _cube() -> ConvexPiece:
-    return convex_piece.make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))
+    return make_piece(np.array(list(combinations((-1.0, 1.0), repeat=3))))
 
 
 def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:

@@ -1,27 +1,30 @@
-from . import (
-    contact_model,
-    given_obstacle,
-    linearisation,
-    of_workpiece,
-    self_collision,
-    self_exclusions,
-    tip_guard,
-)
-from .given_obstacle import given_obstacles
+from . import self_exclusions
+from .contact_model import ContactModel, hold_contacts, predict_distances
+from .given_obstacle import given_obstacles, with_given
+from .linearisation import Linearisation, TaskRows, linearise
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
-from .self_collision import make_self_collision
+from .of_workpiece import all_obstacles
+from .self_collision import RefusedPair, SelfCollision, make_self_collision, refused_pair
+from .tip_guard import TipGuard, make_tip_guard
 
 __all__ = [
+    "ContactModel",
+    "Linearisation",
     "PlacedCloud",
-    "contact_model",
-    "given_obstacle",
+    "RefusedPair",
+    "SelfCollision",
+    "TaskRows",
+    "TipGuard",
+    "all_obstacles",
     "given_obstacles",
-    "linearisation",
+    "hold_contacts",
+    "linearise",
     "make_fixtures",
     "make_self_collision",
-    "of_workpiece",
+    "make_tip_guard",
     "placed_cloud",
-    "self_collision",
+    "predict_distances",
+    "refused_pair",
     "self_exclusions",
-    "tip_guard",
+    "with_given",
 ]

@@ -22,7 +22,7 @@ import numpy as np
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
-from htcp_jax.model import ConvexPiece, Robot, convex_piece
+from htcp_jax.model import ConvexPiece, Robot, make_piece, stack_pieces
 from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Bool, Float
@@ -169,16 +169,16 @@ def _as_pieces(robot: Robot, rows: list[_Row]) -> ConvexPiece | None:
     solids = [row.solid for row in rows if not isinstance(row.solid, HalfSpace)]
     if robot.pieces is None or not solids:
         return None
-    return jax.device_put(convex_piece.stack_pieces([_as_piece(solid) for solid in solids]))
+    return jax.device_put(stack_pieces([_as_piece(solid) for solid in solids]))
 
 
 def _as_piece(solid: Rod | Box | Cylinder | Polyhedron) -> ConvexPiece:
     if isinstance(solid, Rod):
-        return convex_piece.make_piece(np.array([solid.p, solid.q]), float(solid.radius))
+        return make_piece(np.array([solid.p, solid.q]), float(solid.radius))
     if isinstance(solid, Polyhedron):
-        return convex_piece.make_piece(np.asarray(solid.corners).reshape(-1, 3))
+        return make_piece(np.asarray(solid.corners).reshape(-1, 3))
     own = CUBE * np.asarray(solid.half) if isinstance(solid, Box) else _prism(float(solid.radius), float(solid.half))
-    return convex_piece.make_piece(own @ np.asarray(solid.rotation).T + np.asarray(solid.centre))
+    return make_piece(own @ np.asarray(solid.rotation).T + np.asarray(solid.centre))
 
 
 def _prism(radius: float, half: float) -> Float[np.ndarray, "P 3"]:

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
-from htcp_jax.model import Robot, Task
-from htcp_jax.model import task as tasks
+from htcp_jax.model import TCP_POSITION, Robot, Task
 from htcp_jax.types import Array, Float, Joints
 
 
@@ -30,7 +29,7 @@ def linearise(
     obstacles: Obstacles,
     where: HasWorkpiecePose,
     x: Joints,
-    task: Task = tasks.TCP_POSITION,
+    task: Task = TCP_POSITION,
     smallest: bool = False,
 ) -> Linearisation:
     """Return task and clearance at x, with the task's Jacobian and the clearance's gradients.

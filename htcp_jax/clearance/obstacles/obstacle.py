@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
-from htcp_jax.model import Robot, Task, kinematics
+from htcp_jax.model import TCP_POSITION, Robot, Task, kinematics
 from htcp_jax.model import robot as robots
-from htcp_jax.model import task as tasks
 from htcp_jax.numerics import product
 from htcp_jax.pytree import without_labels
 from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
@@ -224,7 +223,7 @@ class Scene(NamedTuple):
 
     robot: Robot
     obstacles: Obstacles
-    task: Task = tasks.TCP_POSITION
+    task: Task = TCP_POSITION
 
     @property
     def rows(self) -> RowPairs:

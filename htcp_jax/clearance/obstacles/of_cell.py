@@ -22,7 +22,7 @@ from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, Obstacles
-from htcp_jax.model import Fixture, Robot, mesh_points
+from htcp_jax.model import Fixture, PointCover, Robot, cover_mesh, thinnest_nearby
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product
 from htcp_jax.pytree import LABEL, register_pytree
@@ -145,7 +145,7 @@ def placed_cloud(
         InputError: For a mesh without an area, and if it needs too many points.
     """
     is_mesh = len(triangles) > 0
-    found = _covered(robot, triangles, T_world, source, excluded) if is_mesh else mesh_points.PointCover(points, 0.0)
+    found = _covered(robot, triangles, T_world, source, excluded) if is_mesh else PointCover(points, 0.0)
     return PlacedCloud(cloud_of(*found), jnp.asarray(T_world), name, tuple(excluded))
 
 
@@ -155,11 +155,11 @@ def _covered(
     T_world: HostFloat[np.ndarray, "4 4"],
     source: str,
     excluded: Collection[int],
-) -> mesh_points.PointCover:
+) -> PointCover:
     base = T_world[:3, :3].T @ (np.asarray(robot.T_parent_joint)[0, :3, 3] - T_world[:3, 3])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     distance = float(np.linalg.norm(np.maximum(np.maximum(low - base, base - high), 0.0)))  # to the mesh's bounding box
-    return mesh_points.cover_mesh(triangles, source, body=mesh_points.thinnest_nearby(robot, distance, excluded))
+    return cover_mesh(triangles, source, body=thinnest_nearby(robot, distance, excluded))
 
 
 def solid_of(shape: Fixture) -> Solid | None:

@@ -1,10 +1,14 @@
-from . import bisection, branch_exclusion, exclusion, motion_bound, motion_proof, row_proof
+from . import bisection, branch_exclusion, exclusion, motion_proof, row_proof
+from .motion_bound import OUTSIDE_M, ROUNDING_M, arm_points, lever_bounds
 
 __all__ = [
+    "OUTSIDE_M",
+    "ROUNDING_M",
+    "arm_points",
     "bisection",
     "branch_exclusion",
     "exclusion",
-    "motion_bound",
+    "lever_bounds",
     "motion_proof",
     "row_proof",
 ]

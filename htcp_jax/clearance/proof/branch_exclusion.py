@@ -26,7 +26,7 @@ from htcp_jax.clearance.proof.exclusion import (
     unused_m,
 )
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
-from htcp_jax.model import Robot, kinematics, rotations
+from htcp_jax.model import Robot, axis_angle_matrix, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
@@ -173,7 +173,7 @@ def branch_collides(
         use: The bodies that the proof may use, see `Bodies`.
     """
     target, quaternion, rho = cell
-    robot, tool, tolerance_m = scene.robot, rotations.quaternion_matrix(quaternion), scene.task.tolerance_m
+    robot, tool, tolerance_m = scene.robot, quaternion_matrix(quaternion), scene.task.tolerance_m
     own = branch(robot, target, tool, rho, number, tolerance_m)
     arm = _on_arm(robot, own, _wrist_ball(robot, target, tool, rho, tolerance_m), use)
     of_tool = _on_tool(robot, own, target, tool, rho, tolerance_m, use)
@@ -253,7 +253,7 @@ def _wrist_joints(
 
 
 def _rotation(axis: Vector3, turn: Scalar) -> Float[Array, "3 3"]:
-    return rotations.axis_angle_matrix(axis[None], turn[None])[0]
+    return axis_angle_matrix(axis[None], turn[None])[0]
 
 
 def _azimuth(axis: Vector3, a: Vector3, b: Vector3) -> Scalar:

@@ -28,7 +28,7 @@ import numpy as np
 from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles, Scene
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
-from htcp_jax.model import Robot, kinematics, rotations
+from htcp_jax.model import Robot, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
@@ -80,7 +80,7 @@ def tool_collides(
         cell: The tool's poses in the cell.
         bodies: The bodies that the proof may use, see `Bodies`.
     """
-    R, own = rotations.quaternion_matrix(cell.quaternion), _about_tip(scene.robot, bodies)
+    R, own = quaternion_matrix(cell.quaternion), _about_tip(scene.robot, bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
     target = cell.target[None]
@@ -197,7 +197,7 @@ def tool_cell(
     arm = wrist(scene.robot).on_tool - scene.robot.T_link_tcp[:3, 3]
     moves = 2 * safe_norm(arm) * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
     collides = tool_collides(scene, where, cell, bodies)
-    centre = cell.target + product(rotations.quaternion_matrix(cell.quaternion), arm)
+    centre = cell.target + product(quaternion_matrix(cell.quaternion), arm)
     return CellBounds(collides, centre, moves + ROUNDING_M)
 
 

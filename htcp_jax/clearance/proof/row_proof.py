@@ -15,14 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
-from htcp_jax.model import Robot, Task, row_bounds, task_rows
-from htcp_jax.model import task as tasks
+from htcp_jax.model import Feature, FeatureMotion, Region, Robot, Row, RowSlack, Task, TaskPoint, feature_at
 from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
 
-IN_TUBE = task_rows.TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
+IN_TUBE = TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
 
 
-def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region | None, ...]:
+def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[Region | None, ...]:
     """Return the allowed region of every part of a task between two targets.
 
     The region is None for the part that constrains the TCP's position, which the tube bounds.
@@ -39,19 +38,19 @@ def between(task: Task, goals: Float[Array, "2 G"]) -> tuple[row_bounds.Region |
     )
 
 
-def checked(parts: tuple[task_rows.Row, ...]) -> tuple[task_rows.Row, ...]:
+def checked(parts: tuple[Row, ...]) -> tuple[Row, ...]:
     """Return the parts of a task that `row_slacks` covers: all but the TCP's position."""
     return tuple(part for part in parts if part != IN_TUBE)
 
 
 def row_slacks(
     robot: Robot,
-    parts: tuple[task_rows.Row, ...],
-    requested: tuple[row_bounds.Region | None, ...],
+    parts: tuple[Row, ...],
+    requested: tuple[Region | None, ...],
     x: Joints,
     rates: Joints,
     half: Scalar,
-) -> row_bounds.RowSlack:
+) -> RowSlack:
     """Return the slack of each part in `checked(parts)` on a straight joint path.
 
     Args:
@@ -64,15 +63,15 @@ def row_slacks(
     """
     given = [(part, own) for part, own in zip(parts, requested, strict=True) if own is not None]
     found = [own.left(_FeatureSweep(robot, part.features, x, rates, half)) for part, own in given]
-    return row_bounds.RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
+    return RowSlack(*(jnp.stack(each) for each in zip(*found, strict=True)))
 
 
 @dataclass(frozen=True)
-class _FeatureSweep(row_bounds.FeatureMotion):
+class _FeatureSweep(FeatureMotion):
     """Features on the joint path x + s rates with |s| <= half."""
 
     robot: Robot
-    features: tuple[task_rows.Feature, ...]
+    features: tuple[Feature, ...]
     x: Joints
     rates: Joints
     half: Scalar
@@ -89,7 +88,7 @@ class _FeatureSweep(row_bounds.FeatureMotion):
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
         """Return the position or direction of feature number k at x, and its derivative in s."""
-        return jax.jvp(partial(tasks.feature_at, self.robot, feature=self.features[k]), (self.x,), (self.rates,))
+        return jax.jvp(partial(feature_at, self.robot, feature=self.features[k]), (self.x,), (self.rates,))
 
     def bend(self, k: int) -> Scalar:
         """Return a bound on the second derivative in s of feature number k, a point [m]."""
@@ -102,6 +101,6 @@ class _FeatureSweep(row_bounds.FeatureMotion):
         """Return the value of a function of the features' vectors at x, and its derivative in s."""
 
         def of(x: Joints) -> Array:
-            return function(*(tasks.feature_at(self.robot, x, feature) for feature in self.features))
+            return function(*(feature_at(self.robot, x, feature) for feature in self.features))
 
         return jax.jvp(of, (self.x,), (self.rates,))

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts.columns import PER_METRE
 from htcp_jax.io.parts.scan import OF_ONE_UNIT
-from htcp_jax.model import Robot, kinematics, workpiece
+from htcp_jax.model import Robot, kinematics, median_distance
 
 METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometres": 1e3}  # the most likely units first
 KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}  # values of `workpiece.unit`
@@ -117,7 +117,7 @@ def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 
     Raises:
         InputError: If the median distance of the path's points from the cloud is too large.
     """
-    if (distance := workpiece.median_distance(cloud, path)) > _stand_off(cloud):
+    if (distance := median_distance(cloud, path)) > _stand_off(cloud):
         raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path)}")
 
 
@@ -142,7 +142,7 @@ def _part_hint(
     if not units:
         return "check that it is in metres, and keep only the part that the arm can reach"
     scaled = {unit: METRES.get(unit, 1.0) * part for unit in units}
-    distances = {unit: workpiece.median_distance(points, path) for unit, points in scaled.items()}
+    distances = {unit: median_distance(points, path) for unit, points in scaled.items()}
     near = [unit for unit in units if distances[unit] <= _stand_off(scaled[unit])]
     unit = min(near, key=distances.__getitem__, default=units[0])
     keys = [each for each in (key, None if near else "workpiece.path_unit") if each]
@@ -158,7 +158,7 @@ def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) 
     for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
-        if right_length and workpiece.median_distance(cloud, metres * path) <= 0.5 * extent:
+        if right_length and median_distance(cloud, metres * path) <= 0.5 * extent:
             key = f", or set workpiece.path_unit: {KEYS[unit]}" if unit in KEYS else ""
             return f"the path seems to be in {unit}; convert it to metres (factor {metres:g}){key}"
     return "both must be in metres and in the same frame"

@@ -19,7 +19,18 @@ from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
-from htcp_jax.model import PathFrames, Robot, Workpiece, arrays, duct, mesh_points, workpiece
+from htcp_jax.model import (
+    InletDirection,
+    NearbyBody,
+    PathFrames,
+    PointCover,
+    Robot,
+    Workpiece,
+    arrays,
+    cover_mesh,
+    duct,
+    thinnest_nearby,
+)
 from htcp_jax.spec import SEAMS, Maker
 from htcp_jax.system import known_ending
 from htcp_jax.types import Anywhere, Triple
@@ -40,11 +51,11 @@ class GeneratedDuct(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        along = workpiece.InletDirection.WORLD_X
+        along = InletDirection.WORLD_X
         tolerance_m = DUCT_HULL_TOLERANCE_M
         return {"name": "duct", "inlet": duct.INLET, "hull_tolerance_m": tolerance_m, "inlet_direction": along}
 
-    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
+    def walls(self, body: NearbyBody | None) -> PointCover:
         """Return the points on the duct [m].
 
         Raises:
@@ -54,7 +65,7 @@ class GeneratedDuct(NamedTuple):
             raise InputError(f"seed is {self.seed}; it must be 0 or more")
         if not 4 <= self.points <= MOST_POINTS:
             raise InputError(f"points is {self.points}; valid are 4 to {MOST_POINTS}")
-        return mesh_points.PointCover(duct.duct_cloud(self.points, self.seed), 0.0)
+        return PointCover(duct.duct_cloud(self.points, self.seed), 0.0)
 
     def path(self) -> Float[np.ndarray, "T 3"]:
         """Return the points of the seam [m].
@@ -80,11 +91,11 @@ class PointCloud(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        return {"name": Path(self.label).stem, "inlet_direction": workpiece.InletDirection.HULL_FACET}
+        return {"name": Path(self.label).stem, "inlet_direction": InletDirection.HULL_FACET}
 
-    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
+    def walls(self, body: NearbyBody | None) -> PointCover:
         """Return the points [m]."""
-        return mesh_points.PointCover(self.points, 0.0)
+        return PointCover(self.points, 0.0)
 
 
 class TriangleMesh(NamedTuple):
@@ -103,16 +114,16 @@ class TriangleMesh(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        direction = workpiece.InletDirection.HULL_FACET
+        direction = InletDirection.HULL_FACET
         return {"name": Path(self.label).stem, "inlet_direction": direction, "triangles": self.triangles}
 
-    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
+    def walls(self, body: NearbyBody | None) -> PointCover:
         """Return points that cover the mesh [m].
 
         Raises:
             InputError: As `mesh_points.cover_mesh` does.
         """
-        return mesh_points.cover_mesh(self.triangles, self.label, self.spacing_m, body)
+        return cover_mesh(self.triangles, self.label, self.spacing_m, body)
 
 
 class NoCloud(NamedTuple):
@@ -121,11 +132,11 @@ class NoCloud(NamedTuple):
     @property
     def defaults(self) -> dict[str, Any]:
         """Fields of `Workpiece` for this kind."""
-        return {"inlet_direction": workpiece.InletDirection.HULL_FACET}
+        return {"inlet_direction": InletDirection.HULL_FACET}
 
-    def walls(self, body: mesh_points.NearbyBody | None) -> mesh_points.PointCover:
+    def walls(self, body: NearbyBody | None) -> PointCover:
         """Return an empty set of points."""
-        return mesh_points.PointCover(np.empty((0, 3)), 0.0)
+        return PointCover(np.empty((0, 3)), 0.0)
 
 
 WorkpieceSource = GeneratedDuct | PointCloud | TriangleMesh | NoCloud
@@ -206,7 +217,7 @@ def load_workpiece(
         check_extent(robot, source.points, track.xyz, own["name"], unit_key(source.label), source.unit)
     own["origin"] = _origin(source, track.xyz, own["name"]) if origin is None else arrays.triple(origin, "origin")
     source, track = _moved(source, track, own)
-    surface = source.walls(None if robot is None else mesh_points.thinnest_nearby(robot))
+    surface = source.walls(None if robot is None else thinnest_nearby(robot))
     if robot is not None and not isinstance(source, NoCloud):
         check_path_unit(surface.points, track.xyz, own["name"])
     return Workpiece(cloud=surface.points, path=track.xyz, covering_radius_m=surface.radius_m, **own)

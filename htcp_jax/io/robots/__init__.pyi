@@ -1,11 +1,15 @@
-from . import capsule_fit, close_fit, composed, mjcf, model_file, safe_xml
+from . import capsule_fit, close_fit
 from .attached import AttachedBody, attach
 from .chain import chain_of_file
+from .composed import read_model
 from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
+from .mjcf import Listed, arm_xml, fixed_text, shapes_label
+from .model_file import joints_in_file
 from .mujoco_models import body_name, compile_spec, delete_all, joint_name, massive_bodies
+from .safe_xml import model_files
 from .vendor_import import ImportedArm, chain_text, import_robot
 
 __all__ = [
@@ -15,6 +19,8 @@ __all__ = [
     "ImportedArm",
     "JointLimits",
     "LinkMeshes",
+    "Listed",
+    "arm_xml",
     "attach",
     "body_name",
     "capsule_fit",
@@ -22,17 +28,18 @@ __all__ = [
     "chain_text",
     "close_fit",
     "compile_spec",
-    "composed",
     "delete_all",
     "fix_joints",
+    "fixed_text",
     "gp50",
     "import_robot",
     "joint_name",
+    "joints_in_file",
     "load_robot",
     "massive_bodies",
-    "mjcf",
-    "model_file",
+    "model_files",
     "part_moves",
     "read_joint_limits",
-    "safe_xml",
+    "read_model",
+    "shapes_label",
 ]

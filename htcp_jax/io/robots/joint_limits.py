@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.spec import LIMITS_FILE, is_limits_file, strict_yaml
+from htcp_jax.spec import LIMITS_FILE, Quantity, is_limits_file, parse_mapping, yaml_text
 
 SECTION = "joint_limits"
 RATES = "velocity", "acceleration", "jerk"
@@ -91,7 +91,7 @@ class JointLimits(NamedTuple):
         return bounds[:, 0], bounds[:, 1]
 
     def _check_units(self, joint: str, stated: StatedLimits, slide: bool) -> None:
-        given = [value for value in stated if isinstance(value, strict_yaml.Quantity)]
+        given = [value for value in stated if isinstance(value, Quantity)]
         if any(value.is_angle == slide for value in given):
             wrong, right = ("degrees or radians", "m") if slide else ("lengths", "rad")
             raise InputError(f"{self.file}: limits of joint {joint} are {wrong}, but it moves in {right}")
@@ -182,8 +182,8 @@ def read_joint_limits(path: str | Path, names: Sequence[str], arm: str) -> Joint
     file = str(path)
     if not is_limits_file(path):
         raise InputError(f"{file} is not a file with joint limits; valid: {LIMITS_FILE}")
-    text = strict_yaml.yaml_text(path)
-    section, unused = _section(strict_yaml.parse_mapping(text, file, units=True), file)
+    text = yaml_text(path)
+    section, unused = _section(parse_mapping(text, file, units=True), file)
     section = {str(name): entry for name, entry in section.items()}  # YAML also has numbers as keys
     own = {name: section[name] for name in names if name in section}
     if not own:
@@ -257,9 +257,9 @@ def _number(value: Any, file: str, key: str, joint: str) -> float:
         InputError: If it is not a number, or if it is a rate that is not positive and finite.
     """
     if isinstance(value, str) and (angle := ANGLE.fullmatch(value)):
-        value = strict_yaml.Quantity.of(ANGLE_TAGS[angle[1]], float(angle[2]))
+        value = Quantity.of(ANGLE_TAGS[angle[1]], float(angle[2]))
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    number = value if isinstance(value, strict_yaml.Quantity) else float(value) if is_number else math.nan
+    number = value if isinstance(value, Quantity) else float(value) if is_number else math.nan
     if key in BOUNDS["position"]:
         if math.isnan(number):
             raise InputError(

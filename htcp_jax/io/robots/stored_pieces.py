@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import FIRST_DIRECTIONS, TINY, Capsule, Points, hull_corners
-from htcp_jax.model import BodyPieces, convex_piece
+from htcp_jax.model import BodyPieces, body_pieces, make_piece
 
 # Names of an arm's <text> with a capsule's vertices, and of its <numeric>s [m].
 PIECE, RADIUS, EXCESS, FITTED = "piece of ", "radius of ", "excess of ", "capsule of "
@@ -129,12 +129,12 @@ def pieces_of(
         if own is not None:
             own = _moved(own, T_link_body)
         if own is None or not _holds(capsule, own):
-            pieces.append(convex_piece.make_piece(capsule.p[None]))
+            pieces.append(make_piece(capsule.p[None]))
             excess.append(0.0)
         else:
-            pieces.append(convex_piece.make_piece(own.vertices, own.radius))
+            pieces.append(make_piece(own.vertices, own.radius))
             excess.append(own.excess_m(capsule))
-    return convex_piece.body_pieces(pieces, np.array(excess)) if any(excess) else None
+    return body_pieces(pieces, np.array(excess)) if any(excess) else None
 
 
 def _moved(piece: StoredPiece, T: Float[np.ndarray, "4 4"]) -> StoredPiece:
@@ -161,7 +161,7 @@ def _heights(points: Points, vertices: Vertices) -> Float[np.ndarray, "P"]:
         faces = scipy.spatial.ConvexHull(vertices).equations
         return np.max(points @ faces[:, :3].T + faces[:, 3], axis=1)
     except (scipy.spatial.QhullError, ValueError):  # flat
-        normals = convex_piece.make_piece(vertices).normals
+        normals = make_piece(vertices).normals
         return np.max(points @ normals.T - np.max(vertices @ normals.T, axis=0), axis=1)
 
 

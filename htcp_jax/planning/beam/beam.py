@@ -31,9 +31,9 @@ from htcp_jax.motion import (
     Problem,
     Tried,
     ViaPoints,
-    collision_checker,
     lane_inputs,
     motion_check,
+    prove_call,
     step_functions,
     transfers,
 )
@@ -63,7 +63,7 @@ class BeamSearchMethod(Method):
         """Return one call of each lane function; those that continue after dead ends are for hard targets."""
         one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
         inputs, x = problem.inputs(one, 0), problem.scenarios.x_start[one]
-        proof = collision_checker.prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
+        proof = prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
         first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof]
         smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
         if not problem.checkers[0].executor.freedom:

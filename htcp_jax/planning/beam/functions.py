@@ -14,11 +14,11 @@ import numpy as np
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.device import Loop, lane_function
-from htcp_jax.model import inverse_kinematics, kinematics
+from htcp_jax.model import kinematics, reanchor
 from htcp_jax.motion import Problem, lane_inputs, motion_check, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
-from htcp_jax.solvers import active_set, step_qp
+from htcp_jax.solvers import solve_step, step_qp
 
 ENOUGH = 0.9  # share of `beam_aim_m` above the margin that is sufficient
 PATIENCE = 6  # number of step QPs that aim at `beam_aim_m` above the margin; further ones aim at the margin alone
@@ -71,7 +71,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
             settings, here.x, x, held.error, held.jacobian,
             rows.distance, rows.gradient, aims[aim], lower, upper, held.slack, held.gradient,
         )  # fmt: skip
-        found = active_set.solve_step(qp, settings.qp_tolerance)
+        found = solve_step(qp, settings.qp_tolerance)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
         # The first iteration measures the result of inverse kinematics, the second x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
@@ -83,7 +83,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
         reached = task.is_satisfied(here.clearance, here.residual, lane.margin_m)
         return Extension(here._replace(linear=None), reached, jnp.maximum(count - 1, 0))
 
-    straight, _ = inverse_kinematics.reanchor(robot, x, lane.target, task.fine_m, task=task)
+    straight, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
     zero = jnp.zeros((), jnp.int32)
     start = step_functions.empty_result(look, scene, lane, x, x)._replace(x=x, residual=jnp.full((), jnp.inf))
     return Loop((start, straight, zero, zero - 1), going, step, extended)
@@ -121,7 +121,7 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         direction = product(basis, within)
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
-        there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
+        there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = clearance(robot, scene.obstacles, lane, there)
         good = task.is_satisfied(D, residual, lane.margin_m)
         good &= safe_norm(there - x) >= LEAST_STEP * settings.self_motion_step_rad
@@ -169,7 +169,7 @@ def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs,
         direction = product(basis, product(end - x, basis))
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
-        there, residual = inverse_kinematics.reanchor(robot, ahead, lane.target, task.fine_m, task=task)
+        there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = clearance(robot, scene.obstacles, lane, there)
         good = task.is_satisfied(D, residual, lane.margin_m)
         good &= safe_norm(end - there) <= safe_norm(end - x) - LEAST_STEP * length

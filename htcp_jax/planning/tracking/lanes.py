@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.clearance import ClearanceRows
-from htcp_jax.clearance.obstacles import linearisation
+from htcp_jax.clearance.obstacles import Linearisation, TaskRows
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import Scenario
 from htcp_jax.motion import step_functions
@@ -25,7 +25,7 @@ MAIN = -1  # `candidate` of a scenario's main lane, which is not a candidate
 NEW, TRACK, DRAWING, PUSHING, CHECKING = -2, -1, -3, -4, -5
 BACKWARDS = DRAWING, PUSHING, CHECKING
 ENTERING = -1  # `null_space_steps` of a lane before its first null-space step
-KINDS = linearisation.TaskRows, ClearanceRows
+KINDS = TaskRows, ClearanceRows
 
 
 class Lanes(NamedTuple):
@@ -39,7 +39,7 @@ class Lanes(NamedTuple):
     null_space_steps: np.ndarray  # number of null-space steps so far, or ENTERING
     x_previous: np.ndarray  # configurations at the previous target [rad or m]
     x_ref: np.ndarray  # current configurations [rad or m]
-    linear: linearisation.Linearisation  # task and clearance at x_ref to first order
+    linear: Linearisation  # task and clearance at x_ref to first order
 
     @property
     def size(self) -> int:
@@ -63,7 +63,7 @@ def new_lanes(sizes: tuple[int, int], scenario, target, x_previous, x_ref, candi
     def column(value):
         return np.broadcast_to(np.asarray(value, np.int32), lanes).copy()
 
-    linear = linearisation.Linearisation(
+    linear = Linearisation(
         *(kind(np.zeros((lanes, rows)), np.zeros((lanes, rows, n))) for kind, rows in zip(KINDS, sizes, strict=True))
     )
     return Lanes(

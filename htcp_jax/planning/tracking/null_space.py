@@ -12,9 +12,9 @@ import jax.numpy as jnp
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearance, clearances, contacts
-from htcp_jax.clearance.obstacles import contact_model
+from htcp_jax.clearance.obstacles import ContactModel, hold_contacts, predict_distances
 from htcp_jax.errors import InputError
-from htcp_jax.model import Robot, inverse_kinematics, kinematics
+from htcp_jax.model import Robot, kinematics, reanchor
 from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.numerics import checked_shape, fold_keys, null_basis, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
@@ -51,7 +51,7 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
 
 def sphere_problem(
     scene: Scene, settings: Settings, where: HasWorkpiecePose, x_ref: Joints, target: Float[Array, "G"] | None = None
-) -> tuple[sphere.Sphere, contact_model.ContactModel, Float[Array, "N D"]]:
+) -> tuple[sphere.Sphere, ContactModel, Float[Array, "N D"]]:
     """Return the problem of equation (11) at x_ref, the contacts at x_ref, and alpha N(x_ref) [rad].
 
     The results are undefined if D = 0.
@@ -77,7 +77,7 @@ def sphere_problem(
     def observe(w):
         x = x_ref + product(step_basis, w)
         touch = contacts(robot, obstacles, where, x)
-        return touch.distance + far - product(w, product(half, w)), contact_model.hold_contacts(robot, x, rows, touch)
+        return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
@@ -86,7 +86,7 @@ def sphere_problem(
         return clearance(robot, obstacles, where, x) - j1
 
     def predicted(w, held):
-        value, gradient = contact_model.predict_distances(robot, x_ref + product(step_basis, w), rows, held)
+        value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
         value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
         return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
@@ -100,7 +100,7 @@ def sphere_problem(
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return (
         problem,
-        contact_model.hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)),
+        hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)),
         step_basis,
     )
 
@@ -180,14 +180,14 @@ def anchor(
     """
     robot, obstacles, task = scene
     off = task.residual_at(robot, x, target)
-    anchored, _ = inverse_kinematics.reanchor(robot, x, target, task.fine_m, task=task)
+    anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
     return step_functions.State(
         x, clearance=clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
     )
 
 
-Minimise = Callable[[sphere.Sphere, contact_model.ContactModel, jax.Array, Settings], sphere.Best]
+Minimise = Callable[[sphere.Sphere, ContactModel, jax.Array, Settings], sphere.Best]
 
 
 def null_space_step(

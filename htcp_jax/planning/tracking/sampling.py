@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import HasWorkpiecePose, Scene, is_clear
-from htcp_jax.model import Task, inverse_kinematics
+from htcp_jax.model import Task, reanchor, within_limits
 from htcp_jax.motion import step_functions
 from htcp_jax.numerics import null_basis, product, safe_norm
 from htcp_jax.planning.tracking.null_space import DRAWS, PUSHED, HasMargin, StuckScenario, anchor, push_clear
@@ -43,7 +43,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, st
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw
-    feasible = jax.vmap(lambda x: inverse_kinematics.within_limits(robot, x))(x) & jax.vmap(
+    feasible = jax.vmap(lambda x: within_limits(robot, x))(x) & jax.vmap(
         lambda x: is_clear(robot, scene.obstacles, where, x)
     )(x)
     feasible &= jax.vmap(safe_norm)(x - stuck.x_previous[None, :]) <= settings.max_sample_distance_rad
@@ -67,7 +67,7 @@ def nspace_samples(
         step_rad: Lengths of the steps.
     """
     robot, task = scene.robot, scene.task
-    origin, _ = inverse_kinematics.reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
+    origin, _ = reanchor(robot, stuck.x_previous, stuck.target, task.fine_m, task=task)
     first = null_basis(task.linear_at(robot, origin, stuck.target).jacobian)
     draw = jax.random.normal(stuck.key, (settings.samples, first.shape[1]))
     directions = jax.vmap(lambda w: product(first, w / safe_norm(w)))(draw)
@@ -79,7 +79,7 @@ def nspace_samples(
             v = product(basis, product(v, basis))
             v = v / jnp.maximum(safe_norm(v), 1e-12)
             x = jnp.clip(x + length * v, robot.lower, robot.upper)
-            anchored, _ = inverse_kinematics.reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
+            anchored, _ = reanchor(robot, x, stuck.target, task.fine_m, iterations=3, task=task)
             return jnp.where(task.reached(task.residual_at(robot, x, stuck.target)), x, anchored), v
 
         x, _ = jax.lax.fori_loop(0, settings.sample_steps, step, (origin, direction))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene
 from htcp_jax.device import Loop, lane_function
-from htcp_jax.model import inverse_kinematics
+from htcp_jax.model import reanchor
 from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.planning.tracking.null_space import (
     READS,
@@ -152,7 +152,7 @@ def enter_null_space(
         lane: The lane's inputs.
         x_previous: x_{t-1}, the configuration at the previous target [rad or m].
     """
-    x, _ = inverse_kinematics.reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
+    x, _ = reanchor(scene.robot, x_previous, lane.target, scene.task.fine_m, task=scene.task)
     return step_functions.measured(settings, scene, lane, anchor(scene, settings, lane, x, lane.target).x)
 
 

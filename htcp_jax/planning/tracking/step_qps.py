@@ -7,7 +7,7 @@ import numpy as np
 
 from htcp_jax import solvers
 from htcp_jax.errors import InputError
-from htcp_jax.motion import CollisionChecker, Plans, Problem, collision_checker, step_functions
+from htcp_jax.motion import CollisionChecker, Plans, Problem, prove_call, step_functions
 from htcp_jax.planning.method import Method, WarmUp
 from htcp_jax.planning.tracking.engine import Engine
 from htcp_jax.planning.tracking.lanes import Work, new_lanes
@@ -87,7 +87,7 @@ def warm_up_calls(problem: Problem, recoveries: Recoveries) -> WarmUp:
     inputs, lanes = problem.inputs(one, 0), new_lanes(executor.sizes, one, np.zeros(1, int), x, x)
     x, state = lanes.x_ref, (inputs, lanes.x_ref, lanes.x_previous, lanes.linear)
     advance = step_functions.advance_of(problem.settings), inputs, x, x
-    proof = [collision_checker.prove_call(problem.task, inputs, x, x)] if problem.check_paths else []
+    proof = [prove_call(problem.task, inputs, x, x)] if problem.check_paths else []
     if problem.settings.qp == "device":
         first = [advance, (step_functions.TRACK_CHUNK, *state, lanes.iteration), *proof]
     else:
