@@ -4,8 +4,9 @@
 function; no import cycles. Each folder is one of these packages.
 
 **Public names.** The stub of a package, `__init__.pyi`, lists its public names: types and functions whose names say
-alone what they are, and modules where they do not, as in `tables.gather`. Other packages import these and nothing deeper; modules of one package import each other. Each name exists,
-and a package has 5 to 15 of them, except those in SIZES.
+alone what they are, and modules where they do not, as in `tables.gather`. Other packages import these and nothing
+deeper; modules of one package import each other. Each name exists, and a package has 5 to 15 of them, except those in
+SIZES.
 
 **Validation.** `validation` imports nothing of the planner's mathematics: from other packages only the names in
 TO_VALIDATION, which are data, files and constants. A module that it imports counts by the names that it uses of it.

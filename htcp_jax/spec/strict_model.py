@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError, described
 
-KIND = "kind"  # key of entries whose kind another package defines, see `jobs.given_kinds`
+KIND = "kind"  # key of entries whose kind another package defines, see `given_kinds`
 
 
 class FileSection(BaseModel):

@@ -57,7 +57,7 @@ class SearchColumns(NamedTuple):
 class Searches:
     """All searches of one tree.
 
-    `selection` has the beam of each search. `pending` has the configurations of the beam that are still to be extended
+    `beam` has the beam of each search. `pending` has the configurations of the beam that are still to be extended
     to the next target. `arrived` has the configurations that have reached the next target while the search spreads.
     """
 
