@@ -7,7 +7,7 @@ import pytest
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.io.robots import load_robot
-from htcp_jax.model import robot as robots
+from htcp_jax.spec import GP50
 from htcp_jax.spec.examples import examples
 from htcp_jax.validation import validate_results
 
@@ -28,7 +28,7 @@ def posed(file, x):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_cells_arm_is_the_built_in_gp50(seed):
     x = np.random.default_rng(seed).uniform(-3, 3, 6)
-    (ours, here), (theirs, there) = posed(JOB.parent / "cell.xml", x), posed(robots.GP50, x)
+    (ours, here), (theirs, there) = posed(JOB.parent / "cell.xml", x), posed(GP50, x)
     for name, k in SHARED.items():
         one, other = ours.geom(name), theirs.geom(f"capsule_{k}")
         np.testing.assert_allclose(here.geom(name).xpos, there.geom(f"capsule_{k}").xpos, atol=1e-9)
@@ -38,7 +38,7 @@ def test_the_cells_arm_is_the_built_in_gp50(seed):
 
 
 def test_its_limits_and_speeds_are_the_data_sheets():
-    cell, gp50 = load_robot(JOB.parent / "cell.xml"), load_robot(robots.GP50, limits="datasheet")
+    cell, gp50 = load_robot(JOB.parent / "cell.xml"), load_robot(GP50, limits="datasheet")
     assert cell.joint_names == ("turn", "tilt", *gp50.joint_names)
     for name in ("lower", "upper", "speed"):
         np.testing.assert_allclose(getattr(cell, name)[2:], getattr(gp50, name), rtol=1e-12, err_msg=name)

@@ -319,7 +319,7 @@ def test_a_program_is_played_at_its_own_time_over_plots_of_its_speeds(browser, t
 def test_the_page_holds_the_times_and_the_speeds_of_the_program(timed):
     replays, programs = timed
     viewer, made = Viewer(replays, port=0, programs=programs), programs(0, "baseline")
-    curves, tcp, joints = Curves.of(made), viewer._plots.tcp, viewer._plots.joints
+    curves, tcp, joints = Curves.of(made), viewer.plots.tcp, viewer.plots.joints
     viewer.go_to(1.5)
     assert tcp.data[0][0] == 0 and tcp.data[0][-1] == pytest.approx(made.program.duration_s)
     for plot, own in ((tcp, curves.tcp_mm_s.values()), (joints, curves.share_percent.values())):
