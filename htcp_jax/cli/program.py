@@ -138,38 +138,38 @@ def program(
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
+    written = _Written(found, manipulability, torque, checked, out)
     if as_json:
-        _print_record(found, manipulability, torque, checked, out)
+        _print_record(written)
     else:
-        _print_program(f"{made.robot.name}: {format}", found, manipulability, torque, checked, out)
+        _print_written(f"{made.robot.name}: {format}", written)
     if checked.get("refuted"):
         return REFUTED
     return OVERLOADED if overloaded and not allow_effort else 0
 
 
-def _print_record(
-    found: ProgramFigures,
-    manipulability: Float[np.ndarray, "T"],
-    torque: PeakTorque | None,
-    checked: dict[str, int | float],
-    out: Path,
-) -> None:
+class _Written(NamedTuple):
+    """A program in a file, and what is printed of it."""
+
+    found: ProgramFigures
+    manipulability: Float[np.ndarray, "T"]  # at all targets; empty if the feed never drops
+    torque: PeakTorque | None
+    checked: dict[str, int | float]  # result of --check; empty without it
+    out: Path  # the file
+
+
+def _print_record(written: _Written) -> None:
     """Print the figures of a program, its largest torque, the result of --check and the file as JSON."""
+    found, manipulability, torque, checked, out = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
     record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
     print_json({**record, "check": checked or None, "file": str(out)})
 
 
-def _print_program(
-    title: str,
-    found: ProgramFigures,
-    manipulability: Float[np.ndarray, "T"],
-    torque: PeakTorque | None,
-    checked: dict[str, int | float],
-    out: Path,
-) -> None:
+def _print_written(title: str, written: _Written) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
+    found, manipulability, torque, checked, out = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
     print_facts(title, {**_program_facts(found), "torque": _torque(torque), **by_mujoco, "file": str(out)})
     if not found.drops:

@@ -1,4 +1,4 @@
-"""What people write, as data: jobs, cells, tools, kinds of obstacles and of task rows.
+"""Jobs, cells, tools, kinds of obstacles and of task rows as people write them: data only.
 
 Neither JAX nor MuJoCo is loaded.
 

@@ -42,7 +42,8 @@ class Registry:
     ):
         self.group, self.noun, self._fault, self._built_in = group, noun, fault, built_in
         self._own: dict[str, Any] = {}  # registered in this process
-        self._loaded: dict[str, Any] = {}  # loaded from entry points
+        # built in, or loaded from entry points
+        self._loaded: dict[str, Any] = dict(built_in) if isinstance(built_in, Mapping) else {}
 
     def register(self, value: Any) -> Any:
         """Register an extension in this process, and return it. Ray's workers do not find it.
@@ -67,11 +68,10 @@ class Registry:
         Raises:
             InputError: If the name is unknown, or if the extension cannot be imported or is invalid.
         """
-        for known in (self._built_in, self._own):
-            if isinstance(known, Mapping) and name in known:
-                return known[name]
-        self.refuse_unknown(name)
+        if name in self._own:
+            return self._own[name]
         if name not in self._loaded:
+            self.refuse_unknown(name)
             self._loaded[name] = self._load(self._entry_points[name])
         return self._loaded[name]
 
