@@ -79,8 +79,9 @@ def test_other_configurations_at_the_path_s_first_point_hold_the_task_there(row)
     job = job_of([ON_PATH, row])
     robot, part, one = scene(job)
     problem, first = problem_of(job, robot, part, one), int(one.on_path)
-    x = other_configurations(problem, problem.checkers[0], 0, 0, first).x
-    assert len(x) > 3
+    at, lane = other_configurations(problem, problem.checkers[0], np.array([0]), 0, first)
+    x = at.x
+    assert len(x) > 3 and not lane.any()
     assert not broken(job, part, one, x, np.full(len(x), first))
 
 

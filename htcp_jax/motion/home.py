@@ -113,7 +113,7 @@ class HomeConnector:
 
     def _drawn(self, s: int, round_: int) -> list[Trial]:
         """Return one round of trials: valid configurations at the first target, the clearest first."""
-        found = other_configurations(self._problem, self._checker, s, FIRST_ROUND + round_)
+        found, _ = other_configurations(self._problem, self._checker, np.array([s]), FIRST_ROUND + round_)
         clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
         return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
 

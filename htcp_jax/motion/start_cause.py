@@ -98,7 +98,7 @@ def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) 
 
 def standing_overlap(problem: Problem, s: int) -> StartCause | None:
     """Return the deepest overlap that exists in every configuration of a scenario; None if there is none."""
-    x = drawn_configurations(problem, problem.checkers[0], s, FIRST_ROUND)
+    (x,) = drawn_configurations(problem, problem.checkers[0], np.array([s]), FIRST_ROUND)
     found = _Measured(problem, s, x)
     always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
     row = int(always.argmax())
@@ -186,7 +186,7 @@ class _Measured:
 def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     """Return the reason why none of the sampled configurations at the first target is a start."""
     checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
-    drawn = np.concatenate([drawn_configurations(problem, checker, s, FIRST_ROUND + k) for k in range(rounds)])
+    drawn = np.concatenate(drawn_configurations(problem, checker, np.full(rounds, s), FIRST_ROUND + np.arange(rounds)))
     inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
     at = checker.states(inputs, checker.project(inputs, drawn))
     reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"

@@ -7,7 +7,7 @@ path that is proven clear.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
@@ -16,13 +16,20 @@ from htcp_jax.motion.joint_search import Limits, join
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.step_functions import State
 
-DRAWS = 512  # configurations sampled at the first target
+DRAWS = 512  # configurations sampled at a target of one scenario
+TOGETHER = tables.PORTION // DRAWS  # number of scenarios sampled together, which limits the memory
 STREAM = 1_000_000  # first stream of random numbers; smaller ones belong to `joint_search`
 MOST_ROOTS = 16  # maximum number of configurations to join
 
 
-def other_configurations(problem: Problem, checker: CollisionChecker, s: int, round_: int, target: int = 0) -> State:
-    """Return valid configurations of one scenario at a target, far apart from each other; new ones in every round.
+def other_configurations(
+    problem: Problem,
+    checker: CollisionChecker,
+    scenario: Int[np.ndarray, "n"],
+    round_: int | Int[np.ndarray, "n"],
+    target: int | Int[np.ndarray, "n"] = 0,
+) -> tuple[State, Int[np.ndarray, "m"]]:
+    """Return valid configurations at targets of many scenarios, far apart from each other; new ones in every round.
 
     They are sampled uniformly within the joint limits, and not yet joined to the start. Among configurations that
     differ by multiples of 2 pi in a hinge, the one nearest to home is returned.
@@ -30,52 +37,75 @@ def other_configurations(problem: Problem, checker: CollisionChecker, s: int, ro
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
-        s: Row of the scenario.
-        round_: Number of the round.
-        target: Index of the target.
+        scenario: Row of each scenario.
+        round_: Number of the round, or one for each scenario.
+        target: Index of the target, or one for each scenario.
+
+    Returns:
+        The states of all configurations, and the index of each one's scenario in `scenario`, in ascending order.
     """
-    settings, drawn = problem.settings, drawn_configurations(problem, checker, s, round_)
-    here = projected(problem, checker, s, target, drawn)
-    found = tables.gather(here, checker.valid(problem.inputs(s, target, len(drawn)), here))
-    one = np.zeros(len(found.x), int)
-    return tables.gather(found, dispersed(found.x, one, settings.beam_width, settings.beam_separation_rad))
+    settings, count = problem.settings, len(scenario)
+    round_, target = np.broadcast_to(round_, count), np.broadcast_to(target, count)
+    parts = []
+    for first in range(0, count, TOGETHER):
+        own = np.arange(first, min(first + TOGETHER, count))
+        drawn, lane = drawn_configurations(problem, checker, scenario[own], round_[own]), np.repeat(own, DRAWS)
+        here = projected(problem, checker, scenario[lane], target[lane], np.concatenate(drawn))
+        parts.append(tables.gather((here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here)))
+    here, lane = tables.concatenate(parts)
+    apart = dispersed(here.x, lane, settings.beam_width, settings.beam_separation_rad)
+    return tables.gather((here, lane), apart)
 
 
-def projected(problem: Problem, checker: CollisionChecker, s: int, target: int, x: Float[np.ndarray, "n N"]) -> State:
-    """Return the states of configurations after inverse kinematics onto a target of one scenario.
+def projected(
+    problem: Problem,
+    checker: CollisionChecker,
+    scenario: Int[np.ndarray, "n"],
+    target: int | Int[np.ndarray, "n"],
+    x: Float[np.ndarray, "n N"],
+) -> State:
+    """Return the states of configurations after inverse kinematics onto targets of their scenarios.
 
     If inverse kinematics does not converge, the residual is above the tolerance.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
-        s: Row of the scenario.
-        target: The target.
+        scenario: Row of each configuration's scenario.
+        target: Index of the target, or one for each configuration.
         x: The configurations [rad or m].
     """
-    inputs = problem.inputs(s, target, len(x))
-    x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, s))
+    inputs = problem.inputs(scenario, target)
+    x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, scenario))
     return checker.states(inputs, x)._replace(x=x, linear=None)
 
 
 def drawn_configurations(
-    problem: Problem, checker: CollisionChecker, s: int, round_: int
-) -> Float[np.ndarray, "DRAWS N"]:
-    """Return random configurations of one scenario within the joint limits [rad or m], new ones in every round.
+    problem: Problem, checker: CollisionChecker, scenario: Int[np.ndarray, "n"], round_: int | Int[np.ndarray, "n"]
+) -> Float[np.ndarray, "n DRAWS N"]:
+    """Return random configurations of many scenarios within the joint limits [rad or m], new ones in every round.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
-        s: Row of the scenario.
-        round_: Number of the round.
+        scenario: Row of each scenario; the same one several times for several rounds.
+        round_: Number of the round, or one for each scenario.
     """
-    rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), STREAM + round_])
-    return _sampled_configurations(problem.robot.slides, checker.executor.limits, _about(problem, s), rng)
+    seed, slides, limits = problem.settings.seed, problem.robot.slides, checker.executor.limits
+    numbers = problem.scenarios.number[scenario], np.broadcast_to(round_, len(scenario))
+    seeds = [[seed, int(number), STREAM + int(of)] for number, of in zip(*numbers, strict=True)]
+    return np.array(
+        [
+            _sampled_configurations(slides, limits, about, np.random.default_rng(each))
+            for about, each in zip(_about(problem, scenario), seeds, strict=True)
+        ]
+    )
 
 
-def _about(problem: Problem, s: int) -> Float[np.ndarray, "N"]:
-    """Return the configuration about which unlimited joints are sampled."""
-    return problem.scenarios.x_start[s] if problem.begins_anywhere[s] else problem.scenarios.x_home[s]
+def _about(problem: Problem, scenario: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n N"]:
+    """Return the configurations about which unlimited joints are sampled."""
+    anywhere = problem.begins_anywhere[scenario, None]
+    return np.where(anywhere, problem.scenarios.x_start[scenario], problem.scenarios.x_home[scenario])
 
 
 def _sampled_configurations(
@@ -89,7 +119,7 @@ def _sampled_configurations(
     return np.where((turned >= lower) & (turned <= upper), turned, drawn)
 
 
-def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "N"]) -> Float[np.ndarray, "n N"]:
+def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n N"]:
     """Return the configurations with multiples of 2 pi added to unlimited hinges: within pi of `about`."""
     endless = np.isinf(limits[0]) & np.isinf(limits[1])
     return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x

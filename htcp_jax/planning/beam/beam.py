@@ -166,7 +166,8 @@ class BeamSearch:
         return len(roots) > 0
 
     def _other_configurations(self, s: int, round_: int, target: int) -> np.ndarray:
-        return self._tree.plant(transfers.other_configurations(self._problem, self._checker, s, round_, target), target)
+        at, _ = transfers.other_configurations(self._problem, self._checker, np.array([s]), round_, target)
+        return self._tree.plant(at, target)
 
     def _extend(self) -> None:
         """Extend pending configurations to the next target; accept those whose joint path is a proven motion."""

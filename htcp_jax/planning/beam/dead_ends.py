@@ -261,14 +261,14 @@ class DeadEnds:
         """
         problem, checker, draws = self._problem, self._checker, self._draws[s]
         first = FIRST_ROUND + draws.rounds
-        rounds = range(first, first + (ROUNDS if near is None else 1))
-        drawn = np.concatenate([transfers.drawn_configurations(problem, checker, s, k) for k in rounds])
+        rounds = first + np.arange(ROUNDS if near is None else 1)
+        drawn = np.concatenate(transfers.drawn_configurations(problem, checker, np.full(len(rounds), s), rounds))
         if near is not None:
             rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), first])
             drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
             drawn = np.clip(drawn, *checker.executor.limits)
         draws.rounds += len(rounds)
-        here = transfers.projected(problem, checker, s, target, drawn)
+        here = transfers.projected(problem, checker, np.full(len(drawn), s), target, drawn)
         reached = np.flatnonzero(problem.task.reached(here.residual))
         draws.missed[target] = 0 if len(reached) else draws.missed[target] + len(drawn)
         order = reached[np.argsort(-here.clearance[reached], kind="stable")]
