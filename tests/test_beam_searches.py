@@ -98,7 +98,7 @@ def test_a_search_backwards_ends_at_its_last_target_or_when_it_is_stopped():
     extended(searches, [2])
     roots = searches.tree.plant(at([[0.0, 0.0], [1.0, 1.0]]), 5)
     for last in (3, 0):
-        searches.begin([0], [last], [roots], 0, backwards=True)
+        searches.begin([0], [last], [roots], [0], backwards=True)
     for target in (4, 3):
         search, parent = searches.pending.search[searches.pending.search > 0], searches.pending.node[-4:]
         x = searches.tree.x[parent] + 1.0

@@ -107,15 +107,14 @@ class BeamSearch:
         via_points, searches, most = [], self._searches, max(1, self._checker.executor.lanes // IN_FLIGHT)
         while True:
             before = searches.tracked
-            self._begin(list(islice(scenarios, most - int(searches.going.sum()))))
-            if not searches.going.any():
+            self._begin(list(islice(scenarios, most - int(searches.going.sum()) - len(self._dead_ends))))
+            if not searches.going.any() and not len(self._dead_ends):
                 return via_points, self._dead_ends.tried
             self._extend()
             self._spread()
             self._dead_ends.meet()
             tracked, target = searches.tracked - before, searches.columns.target
-            ended = searches.pop_ended()
-            finished = [one for one in ended if not self._begin_again(one)]
+            finished = self._begin_again(searches.pop_ended())
             for last in finished:
                 search, *path = self._record.chosen(last)
                 self._dead_ends.set_blocked(search)
@@ -135,39 +134,57 @@ class BeamSearch:
         start, unknown = self._problem.scenarios.x_start[new], np.full((len(new), 3), np.nan)
         at = step_functions.State(start, clearance=unknown[:, 0], residual=unknown[:, 0], tcp=unknown)
         roots = list(self._tree.plant(at, -1)[:, None])
-        for k in np.flatnonzero(self._problem.begins_anywhere[new]).tolist():
-            others = self._other_configurations(new[k], 0, 0)
-            roots[k] = others if len(others) else roots[k]
+        anywhere = np.flatnonzero(self._problem.begins_anywhere[new])
+        others = self._other_configurations(np.array(new)[anywhere], 0, 0)
+        for k, rows in zip(anywhere.tolist(), others, strict=True):
+            roots[k] = rows if len(rows) else roots[k]
         self._searches.begin(new, (self._problem.scenarios.count[new] - 1).tolist(), roots)
 
-    def _begin_again(self, search: int) -> bool:
-        """Begin another search after `search` has ended, and return True; return False if the scenario is finished."""
-        if self._dead_ends.is_excluded(search):
-            return False
-        return self._begin_elsewhere(search) or self._dead_ends.retry(search)
+    def _begin_again(self, ended: list[int]) -> list[int]:
+        """Begin other searches after some have ended; return the last searches of the scenarios that are finished."""
+        excluded = self._dead_ends.excluded(ended)
+        begun = self._begin_elsewhere([one for one in ended if one not in excluded])
+        return [*excluded, *self._dead_ends.retry([one for one in ended if one not in excluded and one not in begun])]
 
-    def _begin_elsewhere(self, search: int) -> bool:
-        """Begin a search from other configurations after `search` has failed; return False if there are none.
+    def _begin_elsewhere(self, ended: list[int]) -> set[int]:
+        """Begin searches from other configurations after some have failed; return those after which one is begun.
 
         The configurations are at the path's first point if it was not reached. Otherwise they are at the first target,
         if transfers are allowed.
         """
-        columns, chain = self._searches.columns, self._searches.chain(search)
-        s, scenarios, first = int(columns.scenario[search]), self._problem.scenarios, int(columns.target[chain[-1]])
+        searches, scenarios = self._searches, self._problem.scenarios
+        where = {one: place for one in ended if (place := self._elsewhere(one)) is not None}
+        if not where:
+            return set()
+        scenario = searches.columns.scenario[list(where)]
+        roots = self._other_configurations(scenario, *np.array(list(where.values())).T)
+        found = {one: rows for one, rows in zip(where, roots, strict=True) if len(rows)}
+        scenario = searches.columns.scenario[list(found)]
+        last = (scenarios.count[scenario] - 1).tolist()
+        searches.begin(scenario.tolist(), last, list(found.values()), list(found))
+        return set(found)
+
+    def _elsewhere(self, ended: int) -> tuple[int, int] | None:
+        """Return the round of draws and the target for another search from the path's begin; None if there is none."""
+        columns, chain, scenarios = self._searches.columns, self._searches.chain(ended), self._problem.scenarios
+        s, first = int(columns.scenario[ended]), int(columns.target[chain[-1]])
         on_path, anywhere = int(scenarios.on_path[s]), bool(self._problem.begins_anywhere[s])
         off_path = 0 <= first < on_path and not anywhere
         may = off_path or self._problem.settings.transfers or (scenarios.auto_start[s] and not anywhere)
         spent = len(chain) > MOST_TRANSFERS or self._dead_ends.has_begun(s)
-        if columns.status[search] == NONE or not may or spent:
-            return False
-        roots = self._other_configurations(s, len(chain) - 1 + anywhere, on_path if off_path else 0)
-        if len(roots):
-            self._searches.begin([s], [int(scenarios.count[s]) - 1], [roots], search)
-        return len(roots) > 0
+        if columns.status[ended] == NONE or not may or spent:
+            return None
+        return len(chain) - 1 + anywhere, on_path if off_path else 0
 
-    def _other_configurations(self, s: int, round_: int, target: int) -> np.ndarray:
-        at, _ = transfers.other_configurations(self._problem, self._checker, np.array([s]), round_, target)
-        return self._tree.plant(at, target)
+    def _other_configurations(
+        self, scenario: np.ndarray, round_: int | np.ndarray, target: int | np.ndarray
+    ) -> list[np.ndarray]:
+        """Return, for each scenario, the tree rows of other valid configurations at a target."""
+        if not len(scenario):
+            return []
+        at, lane = transfers.other_configurations(self._problem, self._checker, scenario, round_, target)
+        rows = self._tree.plant(at, np.broadcast_to(target, len(scenario))[lane])
+        return np.split(rows, np.searchsorted(lane, np.arange(1, len(scenario))))
 
     def _extend(self) -> None:
         """Extend pending configurations to the next target; accept those whose joint path is a proven motion."""

@@ -1,5 +1,6 @@
-"""Dead ends of a beam search: searches backwards from configurations at the lost target, joined with the beam's tree.
+"""Dead ends of beam searches: searches backwards from configurations at the lost target, joined with the beam's tree.
 
+    exclude   end the scenario if the lost target is proven to have no clear configuration
     sample    configurations at the first target that the beam did not reach, the clearest of many pushed clear
     backwards a beam from these towards the start, with the same proofs, in the direction of travel
     meet      at each target, by self-motions from the tree's configurations to those nearest to them
@@ -10,9 +11,12 @@
 Often the configurations that lead past the dead end were dropped at earlier targets, or never sampled. Configurations
 that are extended backwards from the lost target do lead to it. `settings.effort` limits their number, relative to the
 configurations used by the searches before.
+
+Each of these is one call of a lane function for all scenarios that need it at the time.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -48,6 +52,7 @@ NEAR_RAD = 0.4  # standard deviation of draws around known configurations
 SHARE = 0.15  # share of the effort for searches backwards, if the motion cannot begin elsewhere
 BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
 PROOF_CELLS, TOOL_CELLS = 24, 128  # maximum numbers of cells of the proofs that exclude the lost target: arm, tool
+TOGETHER = 64  # dead ends at which configurations are sampled in one call, which limits the memory
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
 
@@ -59,14 +64,46 @@ class Meeting(NamedTuple):
     row: int  # tree row of the configuration of the search backwards
 
 
+class Ancestors(NamedTuple):
+    """Configurations of a search's beam and all their ancestors in the tree, in ascending order of their targets."""
+
+    row: Int[np.ndarray, "n"]  # tree rows, until the tree is pruned
+    target: Int[np.ndarray, "n"]
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+
+    def at(self, target: int) -> slice:
+        """Return the places of the configurations at a target."""
+        return slice(*np.searchsorted(self.target, [target, target + 1]).tolist())
+
+
 @dataclass
 class Draws:
     """Configurations drawn after the dead ends of a scenario."""
 
     rounds: int = 0  # number of rounds of draws so far
     work: int = 0  # configurations used: draws on the target, and push steps
-    missed: Counter[int] = field(default_factory=Counter)  # target -> draws since one arrived at the target
-    clear: set[int] = field(default_factory=set)  # targets that no proof excludes
+
+
+@dataclass
+class SampledTarget:
+    """What is known about a target at which configurations are sampled after dead ends of a scenario."""
+
+    missed: int = 0  # number of draws since one arrived at the target
+    is_clear: bool = False  # True if no proof excludes the target
+
+
+@dataclass
+class DeadEnd:
+    """A dead end of a scenario after which configurations are sampled."""
+
+    scenario: int
+    ended: int  # the search that ended last
+    best: int  # the search that reached the farthest target
+    lost: int  # the target after that
+    off_path: bool  # True: configurations are sampled at the path's first point in place of the lost target
+    target: int  # the target at which they are sampled
+    anywhere: bool  # True: they are sampled in the complete joint range; False: around those at the target before
+    tree: Ancestors | None = None  # of the search `best`, once configurations are sampled
 
 
 @dataclass
@@ -74,7 +111,8 @@ class BackwardSearch:
     """A search backwards from a lost target."""
 
     joined: int  # the search that it is to be joined to
-    tree_x: dict[int, Float[np.ndarray, "n N"]]  # target -> configurations in the tree of `joined` [rad or m]
+    tree: Ancestors  # of that search
+    tried: int  # the target at which pairs of configurations were tried last
     meetings: list[Meeting] = field(default_factory=list)
 
 
@@ -93,39 +131,56 @@ class DeadEnds:
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
         self._joint_steps = joint_steps
         self._draws: defaultdict[int, Draws] = defaultdict(Draws)  # by scenario
+        self._sampled: defaultdict[tuple[int, int], SampledTarget] = defaultdict(SampledTarget)  # by scenario, target
+        self._open: list[DeadEnd] = []  # those at which configurations are sampled in the next round
         self._backwards: dict[int, BackwardSearch] = {}  # by search, until it ends
         self._wider: dict[int, WiderSearch] = {}  # by search
         self.tried: dict[tuple[int, int], Tried] = {}  # (scenario, lost target) -> attempts
 
+    def __len__(self) -> int:
+        """Number of scenarios at whose dead ends configurations are still sampled."""
+        return len(self._open)
+
     def has_begun(self, scenario: int) -> bool:
-        """Return True if searches were begun after a dead end of the scenario."""
+        """Return True if configurations were sampled after a dead end of the scenario."""
         return self._draws[scenario].rounds > 0
 
-    def is_excluded(self, ended: int) -> bool:
-        """Return True if a search has ended at a target that is proven to have no clear configuration.
+    def excluded(self, ended: list[int]) -> set[int]:
+        """Return the searches that have ended at a target that is proven to have no clear configuration.
 
         Then every other search would end there, too. If the lost target is before the path, which the motion may
         bypass, the proof is about the path's first point.
         """
+        problem, executor = self._problem, self._checker.executor
+        targets = {one: target for one in ended if (target := self._target_to_exclude(one)) is not None}
+        if not targets:
+            return set()
+        places = [(int(self._searches.columns.scenario[one]), target) for one, target in targets.items()]
+        inputs = problem.inputs(*np.array(places).T)
+        reasons = tool_cells.exclusions(executor, problem.robot, inputs, PROOF_CELLS)
+        rest = np.flatnonzero(reasons == Exclusion.NONE)
+        if len(rest):
+            by_tool = tool_cells.excluded(
+                executor, None, tables.gather(inputs, rest), TOOL_CELLS, exclusion.Bodies.TOOL
+            )
+            reasons[rest[by_tool]] = Exclusion.TOOL
+        for place, reason in zip(places, map(Exclusion, reasons.tolist()), strict=True):
+            if reason == Exclusion.NONE:
+                self._sampled[place].is_clear = True
+            else:
+                self.tried[place] = Tried(excluded=reason)
+        return {one for one, reason in zip(targets, reasons, strict=True) if reason != Exclusion.NONE}
+
+    def _target_to_exclude(self, ended: int) -> int | None:
+        """Return the target whose exclusion by proof would end a scenario; None if there is none."""
         columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
         if columns.status[ended] == NONE or not problem.task.holds_tcp or self._left(chain) <= 0:
-            return False
+            return None
         s, best = int(columns.scenario[ended]), self._farthest(chain)
         lost = int(columns.target[best]) + 1
         target = int(problem.scenarios.on_path[s]) if self._leaves_lines(s, lost) else lost
         is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
-        if is_found or lost == 0 or target in self._draws[s].clear:
-            return False
-        inputs, executor = problem.inputs(s, target), self._checker.executor
-        (reason,) = tool_cells.exclusions(executor, problem.robot, inputs, PROOF_CELLS).tolist()
-        tool = exclusion.Bodies.TOOL
-        if reason == Exclusion.NONE and tool_cells.excluded(executor, None, inputs, TOOL_CELLS, tool).all():
-            reason = Exclusion.TOOL
-        if reason == Exclusion.NONE:
-            self._draws[s].clear.add(target)
-            return False
-        self.tried[s, target] = Tried(excluded=Exclusion(reason))
-        return True
+        return None if is_found or lost == 0 or self._sampled[s, target].is_clear else target
 
     def set_blocked(self, ended: int) -> None:
         """Set the status of an ended search to PATH_BLOCKED if a clear configuration is known at the lost target."""
@@ -134,59 +189,62 @@ class DeadEnds:
         if columns.status[ended] == Status.RECOVERY_EXHAUSTED and self.tried.get(lost, Tried()).found:
             columns.status[ended] = Status.PATH_BLOCKED
 
-    def retry(self, ended: int) -> bool:
-        """Begin another search after one has ended, and return True; return False if the scenario is finished."""
-        columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
-        s, scenarios = int(columns.scenario[ended]), problem.scenarios
-        last = int(scenarios.count[s]) - 1
-        if ended in self._backwards:
-            lost = int(columns.target[self._backwards[ended].joined]) + 1
-            self._count(s, lost, configurations=int(columns.work[ended]))
-            if rows := self._grafted(ended):
-                self._count(s, lost, connected=len(rows))
-                self._searches.begin([s], [last], [np.array(rows)], ended)
-                return True
-        elif columns.status[ended] == NONE:
-            return False
+    def retry(self, ended: list[int]) -> list[int]:
+        """Begin other searches after some have ended; return the last searches of the scenarios that are finished.
+
+        Configurations are sampled once at each dead end. Where none is found, they are sampled again in the next call.
+        """
+        columns = self._searches.columns
+        finished = [one for one in ended if one not in self._backwards and columns.status[one] == NONE]
+        grafted = self._grafted([one for one in ended if one in self._backwards])
+        self._searches.begin(*self._to_the_end(grafted), list(grafted.values()), list(grafted))
+        self._open += [self._dead_end(one) for one in ended if one not in grafted and one not in finished]
+        over = [end for end in self._open if not self._may_sample(end)]
+        self._open = self._search_from_samples([end for end in self._open if self._may_sample(end)])
+        return finished + self._not_widened(over)
+
+    def _to_the_end(self, searches: Iterable[int]) -> tuple[list[int], list[int]]:
+        """Return the scenarios of searches, and their last targets."""
+        scenario = self._searches.columns.scenario[list(searches)]
+        return scenario.tolist(), (self._problem.scenarios.count[scenario] - 1).tolist()
+
+    def _dead_end(self, ended: int) -> DeadEnd:
+        """Return the dead end at which a search has ended, and count the work of searches to its target."""
+        columns, chain = self._searches.columns, self._searches.chain(ended)
+        s, best = int(columns.scenario[ended]), self._farthest(chain)
         if (wider := self._wider.get(ended)) is not None and wider.work is None:
             self._count(s, wider.lost, configurations=int(columns.work[ended]))
-        best = self._farthest(chain)
-        lost, on_path = int(columns.target[best]) + 1, int(scenarios.on_path[s])
+        lost = int(columns.target[best]) + 1
         off_path = self._leaves_lines(s, lost)
-        tree = self._ancestors(best)
-        at = {int(t): self._tree.x[tree[self._tree.target[tree] == t]] for t in range(lost)}
-        target, draws = on_path if off_path else lost, self._draws[s]
-        while lost > 0 and self._left(chain) > 0 and draws.missed[target] < MOST_MISSED:
-            before = draws.work
-            anywhere = off_path or self._may_arrive(s, best)
-            roots = self._sampled(s, target, None if anywhere else at[lost - 1])
-            self._count(s, lost, configurations=draws.work - before, found=len(roots))
-            problem.progress(0, 0)  # nothing new, but the search goes on
-            if len(roots):
-                self._count(s, lost, searches=1)
-                if not off_path:
-                    self._backwards[len(columns.target)] = BackwardSearch(best, at)
-                first = last if off_path else self._first(best)
-                self._searches.begin([s], [first], [roots], ended, backwards=not off_path)
-                return True
-        return not off_path and self._widen(s, lost, tree, chain)
+        target = int(self._problem.scenarios.on_path[s]) if off_path else lost
+        return DeadEnd(s, ended, best, lost, off_path, target, off_path or self._may_arrive(s, best))
 
-    def _widen(self, s: int, lost: int, tree: Int[np.ndarray, "n"], chain: list[int]) -> bool:
-        """Begin a wider search some targets before the lost one, if that may help; return True if it is begun.
+    def _may_sample(self, end: DeadEnd) -> bool:
+        """Return True if configurations may still be sampled at a dead end."""
+        missed = self._sampled[end.scenario, end.target].missed
+        return end.lost > 0 and missed < MOST_MISSED and self._left(self._searches.chain(end.ended)) > 0
+
+    def _not_widened(self, ends: list[DeadEnd]) -> list[int]:
+        """Begin wider searches some targets before lost ones, where that may help; return the searches of other dead ends.
 
         It may help if clear configurations were found at the lost target, and none of them is connected.
         """
-        known = self.tried.get((s, lost), Tried())
-        is_found = known.found or self._searches.columns.status[self._farthest(chain)] == Status.PATH_BLOCKED
-        if known.connected or known.wider or not is_found or self._left(chain, share=1.0) <= 0:
-            return False
-        target = self._tree.target[tree]
-        roots = tree[target == max(lost - BACK, int(target.min()))]
-        self._count(s, lost, wider=1)
-        self._wider[len(self._searches.columns.target)] = WiderSearch(lost)
-        last = int(self._problem.scenarios.count[s]) - 1
-        self._searches.begin([s], [last], [roots], chain[0], width=WIDER)
-        return True
+        wide = [end for end in ends if self._may_widen(end)]
+        roots = []
+        for end, tree in zip(wide, self._ancestors([end.best for end in wide]), strict=True):
+            roots.append(tree.row[tree.at(max(end.lost - BACK, int(tree.target[0])))])
+            self._count(end.scenario, end.lost, wider=1)
+        ended = [end.ended for end in wide]
+        first = [self._searches.chain(one)[0] for one in ended]
+        begun = self._searches.begin(*self._to_the_end(ended), roots, first, width=WIDER)
+        self._wider |= {search: WiderSearch(end.lost) for search, end in zip(begun, wide, strict=True)}
+        return [end.ended for end in ends if end.ended not in ended]
+
+    def _may_widen(self, end: DeadEnd) -> bool:
+        known, columns = self.tried.get((end.scenario, end.lost), Tried()), self._searches.columns
+        is_found = known.found or columns.status[end.best] == Status.PATH_BLOCKED
+        may = is_found and not known.connected and not known.wider and not end.off_path
+        return bool(may and self._left(self._searches.chain(end.ended), share=1.0) > 0)
 
     def meet(self) -> None:
         """Join the beams of searches backwards with near configurations of the tree at the same target.
@@ -195,21 +253,20 @@ class DeadEnds:
         """
         columns, pairs = self._searches.columns, []
         stop = np.zeros(len(columns.target), bool)
-        for search, backwards in self._backwards.items():
-            if not self._searches.going[search]:
-                continue
-            tree_x = backwards.tree_x.pop(int(columns.target[search]), None)  # pairs are tried once
-            pairs += [] if tree_x is None else self._nearest(search, tree_x)
-            stop[search] = self._left(self._searches.chain(search)) <= 0
-        for search, wider in self._wider.items():
-            if wider.work is not None:
-                continue
-            if columns.target[search] >= wider.lost:
-                columns.width[search], wider.work = 1, int(columns.work[search])
-                s = int(columns.scenario[search])
-                self._count(s, wider.lost, configurations=wider.work, connected=1)
-            elif self._searches.going[search]:
-                stop[search] = self._left(self._searches.chain(search), share=1.0) <= 0
+        for search in np.flatnonzero(self._searches.going).tolist():
+            target = int(columns.target[search])
+            if (backwards := self._backwards.get(search)) is not None:
+                if target != backwards.tried:  # pairs are tried once
+                    pairs += self._nearest(search, backwards.tree.x[backwards.tree.at(target)])
+                    backwards.tried = target
+                stop[search] = self._left(self._searches.chain(search)) <= 0
+            elif (wider := self._wider.get(search)) is not None and wider.work is None:
+                if target >= wider.lost:
+                    columns.width[search], wider.work = 1, int(columns.work[search])
+                    s = int(columns.scenario[search])
+                    self._count(s, wider.lost, configurations=wider.work, connected=1)
+                else:
+                    stop[search] = self._left(self._searches.chain(search), share=1.0) <= 0
         for search, meeting in self._joined(pairs):
             self._backwards[search].meetings.append(meeting)
             stop[search] = True
@@ -222,15 +279,21 @@ class DeadEnds:
             chain: The searches of a scenario.
             share: Share of `settings.effort` that may be used; None: 1, or SHARE if the motion cannot begin elsewhere.
         """
-        columns, s = self._searches.columns, int(self._searches.columns.scenario[chain[0]])
-        forwards = columns.step[chain] > 0
-        spent = self._draws[s].work + columns.work[chain][~forwards].sum()
-        known = ((int(columns.work[k]), self._wider[k].work) for k in chain if k in self._wider)
-        wider = sum(so_far if work is None else work for so_far, work in known)
+        columns, before, wider = self._searches.columns, 0, 0
+        s = int(columns.scenario[chain[0]])
+        spent = self._draws[s].work
+        for search in chain:
+            work = int(columns.work[search])
+            if columns.step[search] < 0:
+                spent += work
+            elif (of_wider := self._wider.get(search)) is not None:
+                wider += work if of_wider.work is None else of_wider.work
+                before += 0 if of_wider.work is None else work - of_wider.work
+            else:
+                before += work
         if share is None:
             share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
-        before = columns.work[chain][forwards].sum() - wider
-        return float(share * self._problem.settings.effort * before - spent - wider)
+        return share * self._problem.settings.effort * before - spent - wider
 
     def _farthest(self, chain: list[int]) -> int:
         """Return the search that reached the farthest target; the first of several."""
@@ -245,44 +308,102 @@ class DeadEnds:
         """Return the target at which a search backwards ends: the first target of the search that it is joined to."""
         return max(0, int(self._tree.target[self._tree.path(self._searches.beam_of(search)[0])[0]]))
 
-    def _ancestors(self, search: int) -> Int[np.ndarray, "n"]:
-        return self._tree.with_ancestors(np.array(self._searches.beam_of(search)))
+    def _ancestors(self, searches: list[int]) -> list[Ancestors]:
+        """Return the beams of ended searches, each of another scenario, with all ancestors."""
+        beams = [np.array(self._searches.beam_of(search)) for search in searches]
+        if not beams:
+            return []
+        owner = np.repeat(np.arange(len(beams)), [len(beam) for beam in beams])
+        row, owner = self._tree.with_ancestors(np.concatenate(beams), owner)
+        order = np.lexsort((self._tree.target[row], owner))
+        row, owner = row[order], owner[order]
+        every = Ancestors(row, self._tree.target[row], self._tree.x[row])
+        ends = np.searchsorted(owner, np.arange(len(beams) + 1))
+        return [tables.gather(every, slice(*ends[k : k + 2])) for k in range(len(beams))]
 
     def _may_arrive(self, s: int, best: int) -> bool:
         """Return True if the motion may begin in another configuration than the search to be joined."""
         elsewhere = self._problem.settings.transfers or bool(self._problem.scenarios.auto_start[s])
         return elsewhere or self._first(best) > 0
 
-    def _sampled(self, s: int, target: int, near: Float[np.ndarray, "n N"] | None) -> Int[np.ndarray, "m"]:
-        """Return tree rows of new valid configurations at a target: the clearest of random draws, pushed clear.
+    def _search_from_samples(self, ends: list[DeadEnd]) -> list[DeadEnd]:
+        """Sample configurations at dead ends, and begin searches from them; return the dead ends without any."""
+        if not ends:
+            return []
+        new = [end for end in ends if end.tree is None]
+        for end, tree in zip(new, self._ancestors([end.best for end in new]), strict=True):
+            end.tree = tree
+        work = [self._draws[end.scenario].work for end in ends]
+        roots = self._sampled_configurations(ends)
+        for end, before, rows in zip(ends, work, roots, strict=True):
+            used = self._draws[end.scenario].work - before
+            self._count(end.scenario, end.lost, configurations=used, found=len(rows), searches=int(len(rows) > 0))
+        found = [(end, rows) for end, rows in zip(ends, roots, strict=True) if len(rows)]
+        scenario, last = self._to_the_end(end.ended for end, _ in found)
+        last = [to if end.off_path else self._first(end.best) for to, (end, _) in zip(last, found, strict=True)]
+        backwards = np.array([not end.off_path for end, _ in found], bool)
+        begun = self._searches.begin(
+            scenario, last, [rows for _, rows in found], [end.ended for end, _ in found], backwards
+        )
+        for search, (end, _) in zip(begun, found, strict=True):
+            if not end.off_path:
+                self._backwards[search] = BackwardSearch(end.best, end.tree, end.lost)
+        return [end for end, rows in zip(ends, roots, strict=True) if not len(rows)]
 
-        They are far apart. Draws are uniform within the joint limits or, if `near` is given, around its configurations
-        [rad or m].
+    def _sampled_configurations(self, ends: list[DeadEnd]) -> list[Int[np.ndarray, "m"]]:
+        """Return, for each dead end, tree rows of new valid configurations: the clearest of random draws, pushed clear.
+
+        They are far apart.
         """
-        problem, checker, draws = self._problem, self._checker, self._draws[s]
-        first = FIRST_ROUND + draws.rounds
-        rounds = first + np.arange(ROUNDS if near is None else 1)
-        drawn = np.concatenate(transfers.drawn_configurations(problem, checker, np.full(len(rounds), s), rounds))
-        if near is not None:
-            rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[s]), first])
-            drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
-            drawn = np.clip(drawn, *checker.executor.limits)
-        draws.rounds += len(rounds)
-        here = transfers.projected(problem, checker, np.full(len(drawn), s), target, drawn)
+        problem, checker, settings = self._problem, self._checker, self._problem.settings
+        parts = [self._arrived(ends[first : first + TOGETHER]) for first in range(0, len(ends), TOGETHER)]
+        x = [own for part in parts for own in part]
+        lane = np.repeat(np.arange(len(ends)), [len(own) for own in x])
+        if not len(lane):
+            return [lane] * len(ends)
+        scenario, target = (np.array([getattr(end, name) for end in ends]) for name in ("scenario", "target"))
+        inputs = problem.inputs(scenario[lane], target[lane])
+        pushed = checker.executor(stages.PUSH, inputs, np.concatenate(x))
+        at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None)
+        good = np.flatnonzero(checker.valid(inputs, at))
+        good = good[np.lexsort((-at.clearance[good], lane[good]))]
+        good = good[configurations.dispersed(at.x[good], lane[good], settings.beam_width, settings.beam_separation_rad)]
+        rows = self._tree.plant(tables.gather(at, good), target[lane[good]])
+        return np.split(rows, np.searchsorted(lane[good], np.arange(1, len(ends))))
+
+    def _arrived(self, ends: list[DeadEnd]) -> list[Float[np.ndarray, "m N"]]:
+        """Return, for each dead end, draws that arrive at the target: the clearest ones that are far apart."""
+        problem, drawn = self._problem, [self._drawn(end) for end in ends]
+        lane = np.repeat(np.arange(len(ends)), [len(x) for x in drawn])
+        scenario, target = (np.array([getattr(end, name) for end in ends])[lane] for name in ("scenario", "target"))
+        here = transfers.projected(problem, self._checker, scenario, target, np.concatenate(drawn))
         reached = np.flatnonzero(problem.task.reached(here.residual))
-        draws.missed[target] = 0 if len(reached) else draws.missed[target] + len(drawn)
-        order = reached[np.argsort(-here.clearance[reached], kind="stable")]
-        apart = order[configurations.first_apart(here.x[order], PUSHED, APART_RAD)]
-        pushes = len(apart) * problem.settings.max_null_space_steps
-        draws.work += max(len(reached), len(drawn) // FEW) + pushes
-        inputs = problem.inputs(s, target, len(apart))
-        pushed = checker.executor(stages.PUSH, inputs, here.x[apart]) if len(apart) else here
-        at = checker.states(inputs, pushed.x)._replace(x=pushed.x, linear=None) if len(apart) else here
-        good = np.flatnonzero(checker.valid(inputs, at)) if len(apart) else apart
-        good = good[np.argsort(-at.clearance[good], kind="stable")]
-        separation, zero = problem.settings.beam_separation_rad, np.zeros(len(good), int)
-        good = good[configurations.dispersed(at.x[good], zero, problem.settings.beam_width, separation)]
-        return self._tree.plant(tables.gather(at, good), target)
+        reached = reached[np.lexsort((-here.clearance[reached], lane[reached]))]
+        arrived = np.split(here.x[reached], np.searchsorted(lane[reached], np.arange(1, len(ends))))
+        found = []
+        for end, x, own in zip(ends, drawn, arrived, strict=True):
+            draws, sampled = self._draws[end.scenario], self._sampled[end.scenario, end.target]
+            found.append(own[configurations.first_apart(own, PUSHED, APART_RAD)])
+            sampled.missed = 0 if len(own) else sampled.missed + len(x)
+            draws.work += max(len(own), len(x) // FEW) + len(found[-1]) * problem.settings.max_null_space_steps
+        return found
+
+    def _drawn(self, end: DeadEnd) -> Float[np.ndarray, "n N"]:
+        """Return random configurations for a dead end [rad or m].
+
+        They are uniform within the joint limits, or around the tree's configurations at the target before the lost one.
+        """
+        problem, checker, draws = self._problem, self._checker, self._draws[end.scenario]
+        rounds = FIRST_ROUND + draws.rounds + np.arange(ROUNDS if end.anywhere else 1)
+        draws.rounds += len(rounds)
+        scenario = np.full(len(rounds), end.scenario)
+        drawn = np.concatenate(transfers.drawn_configurations(problem, checker, scenario, rounds))
+        if end.anywhere:
+            return drawn
+        near = end.tree.x[end.tree.at(end.lost - 1)]
+        rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[end.scenario]), rounds[0]])
+        drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
+        return np.clip(drawn, *checker.executor.limits)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
         """Return the pairs to join: search, configuration in the tree, tree row of the search's configuration."""
@@ -316,50 +437,58 @@ class DeadEnds:
             met.append((int(search[k]), Meeting(begin[k], between, int(row[k]))))
         return met
 
-    def _grafted(self, search: int) -> list[int]:
-        """Add the reversed motions of a search backwards to the tree; return the tree rows at the lost target.
+    def _grafted(self, ended: list[int]) -> dict[int, Int[np.ndarray, "m"]]:
+        """Add the reversed motions of ended searches backwards to the tree, where they are connected.
 
-        There is one row for each configuration at the lost target that is connected.
+        Returns:
+            The searches that are connected, and the tree rows at their lost targets: one for each configuration there
+            that is connected.
         """
-        columns, backwards = self._searches.columns, self._backwards.pop(search)
-        best, meetings = backwards.joined, backwards.meetings
-        s, tree, found = int(columns.scenario[search]), self._ancestors(best), {}
-        if not meetings and columns.status[search] == NONE and self._may_arrive(s, best):
-            meetings = [Meeting(None, None, row) for row in self._searches.beam_of(search)]
+        columns, found = self._searches.columns, {}
+        backwards = [self._backwards.pop(search) for search in ended]
+        trees = self._ancestors([each.joined for each in backwards])
+        for search, each, tree in zip(ended, backwards, trees, strict=True):
+            s, lost = int(columns.scenario[search]), int(columns.target[each.joined]) + 1
+            if not each.meetings and columns.status[search] == NONE and self._may_arrive(s, each.joined):
+                each.meetings = [Meeting(None, None, row) for row in self._searches.beam_of(search)]
+            rows = self._branches(s, each.meetings, tree)
+            self._count(s, lost, configurations=int(columns.work[search]), connected=len(rows))
+            if rows:
+                found[search] = np.array(rows)
+        return found
+
+    def _branches(self, s: int, meetings: list[Meeting], tree: Ancestors) -> list[int]:
+        """Add a branch for each configuration at the lost target that is connected; return the tree rows of the ends."""
+        found = {}
         for begin, between, row in meetings:
             path = self._tree.path(row)
             if (root := int(path[0])) in found:
                 continue
-            parent = None
+            parent = configurations.NO_PARENT
             if begin is not None:
-                here = tree[self._tree.target[tree] == self._tree.target[row]]
-                parent = int(here[(self._tree.x[here] == begin).all(axis=1)][0])
+                here = tree.at(int(self._tree.target[row]))
+                parent = int(tree.row[here][(tree.x[here] == begin).all(axis=1)][0])
             end = self._branch(parent, between, path[::-1], int(self._problem.scenarios.on_path[s]))
             if self._joint_steps is None or self._joint_steps.are_kept(s, self._tree.nodes(self._tree.path(end))):
                 found[root] = end
         return list(found.values())
 
     def _branch(
-        self, parent: int | None, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int
+        self, parent: int, between: step_functions.State | None, path: Int[np.ndarray, "k"], on_path: int
     ) -> int:
         """Add a branch to the tree, `between` and then copies of the nodes on `path`; return the tree row of its end.
 
-        It starts at the node `parent`; None: at a new root.
+        It starts at the node `parent`, or at a new root for NO_PARENT.
         """
         nodes = self._tree.nodes(path)
         at, target, step_qps = nodes.at, nodes.target, nodes.step_qps
         if between is not None:
             at, zero = jax.tree.map(lambda a, b: np.concatenate([a, b]), between, at), np.zeros(len(between.x), int)
             target, step_qps = np.append(zero + target[0], target), np.append(zero, step_qps)
-        first = 0 if parent is not None else 1
-        row = np.array([parent]) if first == 0 else self._tree.plant(tables.gather(at, np.arange(1)), int(target[0]))
-        turns = False
-        for k in range(first, len(target)):
-            turned, turns = turns, bool(target[k] == self._tree.target[row[0]])
-            begins = turns and not turned and target[k] >= on_path
-            here = tables.gather(at, np.array([k]))
-            row = self._tree.grow(row, here, target[k], step_qps[k], by_self_motion=turns, dwells=int(begins))
-        return int(row[0])
+        before = -1 if parent == configurations.NO_PARENT else self._tree.target[parent]
+        turns = np.diff(target, prepend=before) == 0
+        begins = turns & ~np.append(False, turns[:-1]) & (target >= on_path)
+        return self._tree.grow_path(parent, at, target, step_qps, turns, begins)
 
     def _count(self, s: int, lost: int, **more: int) -> None:
         """Add counts to the record of a dead end."""

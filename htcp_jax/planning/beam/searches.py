@@ -72,33 +72,42 @@ class Searches:
         self,
         scenario: list[int],
         last: list[int],
-        roots: list[np.ndarray],
-        earlier: int = NONE,
-        backwards: bool = False,
+        roots: list[Int[np.ndarray, "_"]],
+        earlier: list[int] | None = None,
+        backwards: bool | Bool[np.ndarray, "n"] = False,
         width: int = 1,
-    ) -> None:
-        """Add one search per scenario; all begin at the same target.
+    ) -> list[int]:
+        """Add one search per scenario, and return their indices.
 
         Args:
             scenario: Row of each search's scenario.
             last: Target at which each search ends with success.
-            roots: Tree rows from which each search begins, one or more.
-            earlier: Index of the search that the new ones continue; NONE for first searches.
+            roots: Tree rows at one target from which each search begins, one or more.
+            earlier: Index of the search that each new one continues; None for first searches.
             backwards: True to search from later targets to earlier ones.
             width: Factor on the settings' beam widths and rounds of self-motions.
         """
-        count, draws = len(scenario), 0 if earlier == NONE else self.columns.draws[earlier]
-        first = len(self.going)
-        held = Members(np.repeat(np.arange(first, first + count), [len(own) for own in roots]), np.concatenate(roots))
-        target = self.tree.target[[own[0] for own in roots]]
-        equal = {"step": -1 if backwards else 1, "earlier": earlier, "rounds": 0, "draws": draws, "work": 0}
-        equal |= {"width": width, "failure": NONE, "status": NONE}
-        columns = {name: np.full(count, value) for name, value in equal.items()}
-        new = SearchColumns(scenario=np.array(scenario), target=target, last=np.array(last), **columns)
-        self.columns, self.going = tables.concatenate([self.columns, new]), np.append(self.going, np.ones(count, bool))
-        goes_on = np.append(np.zeros(first, bool), target != last)  # False: already at the last target
+        if not scenario:
+            return []
+        first, before = len(self.going), np.full(len(scenario), NONE) if earlier is None else np.array(earlier)
+        new = np.arange(first, first + len(scenario))
+        held = Members(np.repeat(new, [len(own) for own in roots]), np.concatenate(roots))
+        given = {
+            "scenario": np.array(scenario),
+            "target": self.tree.target[[own[0] for own in roots]],
+            "last": np.array(last),
+            "step": np.where(backwards, -1, 1),
+            "earlier": before,
+            "draws": 0 if earlier is None else self.columns.draws[before],
+        }
+        equal = {"rounds": 0, "work": 0, "width": width, "failure": NONE, "status": NONE}
+        columns = SearchColumns(**{name: np.zeros_like(new) + value for name, value in (given | equal).items()})
+        self.columns = tables.concatenate([self.columns, columns])
+        self.going = np.append(self.going, np.ones(len(new), bool))
+        goes_on = np.append(np.zeros(first, bool), columns.target != columns.last)  # False: already at the last target
         self.beam = tables.concatenate([self.beam, held])
         self.pending = tables.concatenate([self.pending, held.of(goes_on)])
+        return new.tolist()
 
     def has(self, members: Members) -> Bool[np.ndarray, "searches"]:
         """Return True for searches with at least one row in `members`."""

@@ -59,7 +59,7 @@ class BeamTree(configurations.Tree):
         """Return the nodes with the given rows."""
         return tables.gather(self._table, rows)
 
-    def plant(self, at: step_functions.State, target: int) -> Int[np.ndarray, "m"]:
+    def plant(self, at: step_functions.State, target: int | Int[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
         """Add roots at a target; return the rows of the new nodes."""
         none = np.full(len(at.x), configurations.NO_PARENT)
         return self.add(Nodes(at, none * 0 + target, none, none > 0, none * 0, none * 0, np.zeros(len(none))))
@@ -90,24 +90,61 @@ class BeamTree(configurations.Tree):
             Nodes(at, zero + target, parent, np.full(len(parent), by_self_motion), zero + step_qps, dwells, cost)
         )
 
+    def grow_path(
+        self,
+        parent: int,
+        at: step_functions.State,
+        target: Int[np.ndarray, "m"],
+        step_qps: Int[np.ndarray, "m"],
+        by_self_motion: Bool[np.ndarray, "m"],
+        dwells: Int[np.ndarray, "m"],
+    ) -> int:
+        """Add a path of m nodes to a parent, each the child of the one before; return the row of the last one.
+
+        Args:
+            parent: Row of the parent; `configurations.NO_PARENT`: the first node is a root.
+            at: The nodes, with `x` [rad or m].
+            target: Index of each node's target.
+            step_qps: Number of step QPs solved for each node.
+            by_self_motion: See `Nodes`.
+            dwells: Number of changes of configuration that begin on the motion to each node.
+        """
+        is_root = parent == configurations.NO_PARENT
+        before = np.concatenate([at.x[:1] if is_root else self.x[[parent]], at.x[:-1]])
+        step = at.x - before
+        own = (step * step).sum(axis=1), dwells
+        known = (0.0, 0) if is_root else (self._table.cost[parent], self._table.dwells[parent])
+        cost, dwells = (np.cumsum(np.append(first, each))[1:] for first, each in zip(known, own, strict=True))
+        parents = np.append(parent, self._count + np.arange(len(target) - 1))
+        return int(self.add(Nodes(at, target, parents, by_self_motion, step_qps, dwells, cost))[-1])
+
     @property
     def is_overgrown(self) -> bool:
         """True if there are more than twice as many nodes as after the last pruning."""
         return self._count > 2 * self._kept
 
-    def with_ancestors(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "k"]:
-        """Return the rows of some nodes and of all their ancestors, in ascending order."""
-        alive, parent = np.zeros(self._count, bool), self._table.parent
+    def with_ancestors(
+        self, rows: Int[np.ndarray, "m"], owner: Int[np.ndarray, "m"]
+    ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]:
+        """Return the rows of some nodes and of all their ancestors, in ascending order, and the owner of each row.
+
+        Args:
+            rows: The nodes.
+            owner: Number of each node's owner, 0 or more. Owners have no common ancestors.
+        """
+        owners, parent = np.full(self._count, -1), self._table.parent
         while len(rows):
-            alive[rows] = True
-            rows = np.unique(parent[rows])
-            rows = rows[rows != configurations.NO_PARENT]
-            rows = rows[~alive[rows]]
-        return np.flatnonzero(alive)
+            owners[rows] = owner
+            above = parent[rows]
+            new = (above != configurations.NO_PARENT) & (owners[above] < 0)
+            rows, first = np.unique(above[new], return_index=True)
+            owner = owner[new][first]
+        found = np.flatnonzero(owners >= 0)
+        return found, owners[found]
 
     def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
         """Remove all nodes except those in `rows` and their ancestors; return the new row of each old row."""
-        kept_rows, moved = self.with_ancestors(rows), np.full(self._count, -1)
+        (kept_rows, _), moved = self.with_ancestors(rows, np.zeros_like(rows)), np.full(self._count, -1)
         moved[kept_rows] = np.arange(len(kept_rows))
         kept = tables.gather(self._table, kept_rows)
         kept.parent[:] = np.where(kept.parent == configurations.NO_PARENT, configurations.NO_PARENT, moved[kept.parent])
