@@ -225,7 +225,7 @@ class DeadEnds:
         return end.lost > 0 and missed < MOST_MISSED and self._left(self._searches.chain(end.ended)) > 0
 
     def _not_widened(self, ends: list[DeadEnd]) -> list[int]:
-        """Begin wider searches some targets before lost ones, where that may help; return the searches of other dead ends.
+        """Begin wider searches some targets before lost ones, if that may help; return the searches of other dead ends.
 
         It may help if clear configurations were found at the lost target, and none of them is connected.
         """
@@ -458,7 +458,7 @@ class DeadEnds:
         return found
 
     def _branches(self, s: int, meetings: list[Meeting], tree: Ancestors) -> list[int]:
-        """Add a branch for each configuration at the lost target that is connected; return the tree rows of the ends."""
+        """Add a branch for each connected configuration at the lost target; return the tree rows of the branches' ends."""
         found = {}
         for begin, between, row in meetings:
             path = self._tree.path(row)
