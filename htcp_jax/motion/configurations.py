@@ -9,9 +9,12 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.numerics import ragged_rows
 
 NO_PARENT = -1
+BLOCK = 64  # number of rows that `first_apart` compares at a time
 
 
 def dispersed(
@@ -44,11 +47,41 @@ def dispersed(
     kept[order] = _kept_apart(every[order], number[order], order < count, apart)
     places = order[kept[order] & (order >= count)] - count
     first = np.flatnonzero(np.diff(search[places], prepend=-1))
-    many = [rows for rows in np.split(places, first[1:]) if len(rows) > most]
-    for rows in many:
-        far = rows[farthest_first(x[rows], 0, most, apart)]
-        places = places[~np.isin(places, rows) | np.isin(places, far)]
+    lengths = np.diff(np.append(first, len(places)))
+    many = np.flatnonzero(lengths > most)
+    if len(many):
+        chosen = np.ones(len(places), bool)
+        group, nth = ragged_rows(lengths[many])
+        rows = first[many][group] + nth
+        chosen[rows] = _farthest_first(x[places[rows]], group, nth, most, apart)
+        places = places[chosen]
     return places
+
+
+def _farthest_first(
+    x: Float[np.ndarray, "n N"], group: Int[np.ndarray, "n"], nth: Int[np.ndarray, "n"], most: int, apart: float
+) -> Bool[np.ndarray, "n"]:
+    """Return True for the rows that `farthest_first` selects in each group, starting with its first row.
+
+    Args:
+        x: Configurations [rad].
+        group: Number of each row's group, 0 or more, in ascending order.
+        nth: Number of each row in its group.
+        most: Maximum number of rows per group.
+        apart: Minimum distance [rad].
+    """
+    table = np.zeros((group[-1] + 1, nth.max() + 1, x.shape[1]))
+    table[group, nth] = x
+    every, kept = np.arange(len(table)), np.zeros(table.shape[:2], bool)
+    distance = np.full(kept.shape, -1.0)  # of rows that do not exist, which are never selected
+    distance[group, nth] = np.inf
+    farthest = np.zeros(len(table), int)
+    for _ in range(most):
+        going = distance[every, farthest] >= apart
+        kept[every[going], farthest[going]] = True
+        distance = np.minimum(distance, np.linalg.norm(table - table[every, farthest][:, None], axis=2))
+        farthest = np.argmax(distance, axis=1)
+    return kept[group, nth]
 
 
 def _kept_apart(
@@ -66,9 +99,10 @@ def _kept_apart(
     row = np.minimum(row, len(x) - 1)
     table, kept = x[row], known[row]
     for k in range(row.shape[1]):
-        own = slice(np.searchsorted(-count, -k, side="left"))  # searches with more than k rows
-        away = np.linalg.norm(table[own, :k] - table[own, k : k + 1], axis=2)
-        kept[own, k] |= ~((away < apart) & kept[own, :k]).any(axis=1)
+        longer = np.searchsorted(-count, -k, side="left")  # number of searches with more than k rows
+        new = np.flatnonzero(~kept[:longer, k])
+        away = np.linalg.norm(table[new, :k] - table[new, k : k + 1], axis=2)
+        kept[new, k] = ~((away < apart) & kept[new, :k]).any(axis=1)
     found = np.zeros(len(x), bool)
     there = np.arange(row.shape[1]) < count[:, None]
     found[row[there]] = kept[there]
@@ -101,10 +135,16 @@ def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: floa
         norm: Order of the norm, as in `numpy.linalg.norm`.
     """
     kept: list[int] = []
-    left = np.ones(len(x), bool)
-    while left.any() and len(kept) < most:
-        kept.append(int(np.argmax(left)))
-        left &= np.linalg.norm(x - x[kept[-1]], norm, axis=1) >= apart
+    for first in range(0, len(x), BLOCK):  # the first rows are often enough
+        block = x[first : first + BLOCK]
+        away = np.linalg.norm(block[:, None] - x[kept][None], norm, axis=2)
+        left = (away >= apart).all(axis=1)
+        while left.any() and len(kept) < most:
+            next_one = int(np.argmax(left))
+            kept.append(first + next_one)
+            left &= np.linalg.norm(block - block[next_one], norm, axis=1) >= apart
+        if len(kept) == most:
+            break
     return np.array(kept, int)
 
 

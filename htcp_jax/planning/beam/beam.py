@@ -262,4 +262,4 @@ class BeamSearch:
 def _in_order_of_travel(step: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return both ends of joint paths in the order of travel: a, b for searches forwards, b, a for those backwards."""
     forwards = step[:, None] > 0
-    return np.where(forwards, a, b), np.where(forwards, b, a)
+    return (a, b) if forwards.all() else (np.where(forwards, a, b), np.where(forwards, b, a))

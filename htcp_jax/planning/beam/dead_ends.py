@@ -15,7 +15,7 @@ configurations used by the searches before.
 Each of these is one call of a lane function for all scenarios that need it at the time.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from htcp_jax.motion import (
     Problem,
     Tried,
     configurations,
+    lane_inputs,
     step_functions,
     tool_cells,
     transfers,
@@ -85,14 +86,6 @@ class Draws:
 
 
 @dataclass
-class SampledTarget:
-    """What is known about a target at which configurations are sampled after dead ends of a scenario."""
-
-    missed: int = 0  # number of draws since one arrived at the target
-    is_clear: bool = False  # True if no proof excludes the target
-
-
-@dataclass
 class DeadEnd:
     """A dead end of a scenario after which configurations are sampled."""
 
@@ -131,7 +124,8 @@ class DeadEnds:
         self._problem, self._checker, self._searches, self._tree = problem, checker, searches, searches.tree
         self._joint_steps = joint_steps
         self._draws: defaultdict[int, Draws] = defaultdict(Draws)  # by scenario
-        self._sampled: defaultdict[tuple[int, int], SampledTarget] = defaultdict(SampledTarget)  # by scenario, target
+        self._missed: Counter[tuple[int, int]] = Counter()  # (scenario, target) -> draws since one arrived
+        self._exclusion: dict[bytes, Exclusion] = {}  # inputs of a target -> why it has no clear configuration
         self._open: list[DeadEnd] = []  # those at which configurations are sampled in the next round
         self._backwards: dict[int, BackwardSearch] = {}  # by search, until it ends
         self._wider: dict[int, WiderSearch] = {}  # by search
@@ -151,25 +145,35 @@ class DeadEnds:
         Then every other search would end there, too. If the lost target is before the path, which the motion may
         bypass, the proof is about the path's first point.
         """
-        problem, executor = self._problem, self._checker.executor
         targets = {one: target for one in ended if (target := self._target_to_exclude(one)) is not None}
         if not targets:
             return set()
-        places = [(int(self._searches.columns.scenario[one]), target) for one, target in targets.items()]
-        inputs = problem.inputs(*np.array(places).T)
-        reasons = tool_cells.exclusions(executor, problem.robot, inputs, PROOF_CELLS)
-        rest = np.flatnonzero(reasons == Exclusion.NONE)
-        if len(rest):
-            by_tool = tool_cells.excluded(
-                executor, None, tables.gather(inputs, rest), TOOL_CELLS, exclusion.Bodies.TOOL
-            )
-            reasons[rest[by_tool]] = Exclusion.TOOL
-        for place, reason in zip(places, map(Exclusion, reasons.tolist()), strict=True):
-            if reason == Exclusion.NONE:
-                self._sampled[place].is_clear = True
-            else:
-                self.tried[place] = Tried(excluded=reason)
-        return {one for one, reason in zip(targets, reasons, strict=True) if reason != Exclusion.NONE}
+        scenario, target = self._searches.columns.scenario[list(targets)], np.array(list(targets.values()))
+        reasons = self._exclusions(self._problem.inputs(scenario, target))
+        places = zip(scenario.tolist(), target.tolist(), strict=True)
+        self.tried |= {place: Tried(excluded=why) for place, why in zip(places, reasons, strict=True) if why}
+        return {one for one, why in zip(targets, reasons, strict=True) if why}
+
+    def _exclusions(self, inputs: lane_inputs.LaneInputs) -> list[Exclusion]:
+        """Return why targets have no clear configuration; NONE without a proof.
+
+        Equal targets of several scenarios need only one proof.
+        """
+        executor, zero = self._checker.executor, np.zeros_like(inputs.row)
+        inputs = inputs._replace(number=zero, row=zero)  # these select random numbers, and proofs have none
+        leaves = [np.reshape(leaf, (len(zero), -1)) for leaf in jax.tree.leaves(inputs)]
+        keys = [row.tobytes() for row in np.concatenate(leaves, axis=1)]
+        new = {key: k for k, key in enumerate(keys) if key not in self._exclusion}
+        if new:
+            inputs = tables.gather(inputs, np.array(list(new.values())))
+            reasons = tool_cells.exclusions(executor, self._problem.robot, inputs, PROOF_CELLS)
+            rest = np.flatnonzero(reasons == Exclusion.NONE)
+            if len(rest):
+                rest_of = tables.gather(inputs, rest)
+                by_tool = tool_cells.excluded(executor, None, rest_of, TOOL_CELLS, exclusion.Bodies.TOOL)
+                reasons[rest[by_tool]] = Exclusion.TOOL
+            self._exclusion |= zip(new, map(Exclusion, reasons.tolist()), strict=True)
+        return [self._exclusion[key] for key in keys]
 
     def _target_to_exclude(self, ended: int) -> int | None:
         """Return the target whose exclusion by proof would end a scenario; None if there is none."""
@@ -180,7 +184,7 @@ class DeadEnds:
         lost = int(columns.target[best]) + 1
         target = int(problem.scenarios.on_path[s]) if self._leaves_lines(s, lost) else lost
         is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
-        return None if is_found or lost == 0 or self._sampled[s, target].is_clear else target
+        return None if is_found or lost == 0 else target
 
     def set_blocked(self, ended: int) -> None:
         """Set the status of an ended search to PATH_BLOCKED if a clear configuration is known at the lost target."""
@@ -199,8 +203,9 @@ class DeadEnds:
         grafted = self._grafted([one for one in ended if one in self._backwards])
         self._searches.begin(*self._to_the_end(grafted), list(grafted.values()), list(grafted))
         self._open += [self._dead_end(one) for one in ended if one not in grafted and one not in finished]
-        over = [end for end in self._open if not self._may_sample(end)]
-        self._open = self._search_from_samples([end for end in self._open if self._may_sample(end)])
+        samples = [self._may_sample(end) for end in self._open]
+        over = [end for end, may in zip(self._open, samples, strict=True) if not may]
+        self._open = self._search_from_samples([end for end, may in zip(self._open, samples, strict=True) if may])
         return finished + self._not_widened(over)
 
     def _to_the_end(self, searches: Iterable[int]) -> tuple[list[int], list[int]]:
@@ -221,7 +226,7 @@ class DeadEnds:
 
     def _may_sample(self, end: DeadEnd) -> bool:
         """Return True if configurations may still be sampled at a dead end."""
-        missed = self._sampled[end.scenario, end.target].missed
+        missed = self._missed[end.scenario, end.target]
         return end.lost > 0 and missed < MOST_MISSED and self._left(self._searches.chain(end.ended)) > 0
 
     def _not_widened(self, ends: list[DeadEnd]) -> list[int]:
@@ -304,10 +309,6 @@ class DeadEnds:
         """Return True if the lost target is not beyond the path's first point, which is then sampled in its place."""
         return bool(lost <= self._problem.scenarios.on_path[s] and not self._problem.begins_anywhere[s])
 
-    def _first(self, search: int) -> int:
-        """Return the target at which a search backwards ends: the first target of the search that it is joined to."""
-        return max(0, int(self._tree.target[self._tree.path(self._searches.beam_of(search)[0])[0]]))
-
     def _ancestors(self, searches: list[int]) -> list[Ancestors]:
         """Return the beams of ended searches, each of another scenario, with all ancestors."""
         beams = [np.array(self._searches.beam_of(search)) for search in searches]
@@ -324,7 +325,7 @@ class DeadEnds:
     def _may_arrive(self, s: int, best: int) -> bool:
         """Return True if the motion may begin in another configuration than the search to be joined."""
         elsewhere = self._problem.settings.transfers or bool(self._problem.scenarios.auto_start[s])
-        return elsewhere or self._first(best) > 0
+        return elsewhere or bool(self._searches.columns.root[best] > 0)
 
     def _search_from_samples(self, ends: list[DeadEnd]) -> list[DeadEnd]:
         """Sample configurations at dead ends, and begin searches from them; return the dead ends without any."""
@@ -340,7 +341,8 @@ class DeadEnds:
             self._count(end.scenario, end.lost, configurations=used, found=len(rows), searches=int(len(rows) > 0))
         found = [(end, rows) for end, rows in zip(ends, roots, strict=True) if len(rows)]
         scenario, last = self._to_the_end(end.ended for end, _ in found)
-        last = [to if end.off_path else self._first(end.best) for to, (end, _) in zip(last, found, strict=True)]
+        first = self._searches.columns.root[[end.best for end, _ in found]].tolist()
+        last = [to if end.off_path else back for to, back, (end, _) in zip(last, first, found, strict=True)]
         backwards = np.array([not end.off_path for end, _ in found], bool)
         begun = self._searches.begin(
             scenario, last, [rows for _, rows in found], [end.ended for end, _ in found], backwards
@@ -382,9 +384,9 @@ class DeadEnds:
         arrived = np.split(here.x[reached], np.searchsorted(lane[reached], np.arange(1, len(ends))))
         found = []
         for end, x, own in zip(ends, drawn, arrived, strict=True):
-            draws, sampled = self._draws[end.scenario], self._sampled[end.scenario, end.target]
+            draws, place = self._draws[end.scenario], (end.scenario, end.target)
             found.append(own[configurations.first_apart(own, PUSHED, APART_RAD)])
-            sampled.missed = 0 if len(own) else sampled.missed + len(x)
+            self._missed[place] = 0 if len(own) else self._missed[place] + len(x)
             draws.work += max(len(own), len(x) // FEW) + len(found[-1]) * problem.settings.max_null_space_steps
         return found
 
@@ -458,7 +460,7 @@ class DeadEnds:
         return found
 
     def _branches(self, s: int, meetings: list[Meeting], tree: Ancestors) -> list[int]:
-        """Add a branch for each connected configuration at the lost target; return the tree rows of the branches' ends."""
+        """Add a branch for each connected configuration at the lost target; return the rows of the branches' ends."""
         found = {}
         for begin, between, row in meetings:
             path = self._tree.path(row)

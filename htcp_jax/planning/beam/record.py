@@ -35,7 +35,7 @@ class BeamRecord:
             leaves = searches.beam_of(search)
             if search == chain[-1] or self._problem.begins_anywhere[s]:
                 return search, leaves[0], None
-            roots = {leaf: int(self._tree.path(leaf)[0]) for leaf in leaves}
+            roots = dict(zip(leaves, self._tree.roots(np.array(leaves)).tolist(), strict=True))
             if self._tree.target[roots[leaves[0]]] < 0:
                 return search, leaves[0], None
             start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
@@ -75,8 +75,7 @@ class BeamRecord:
 
     def _is_approach(self, search: int) -> bool:
         """Return True if the search begins at the path's first point instead of the first target."""
-        root = self._tree.path(self._searches.beam_of(search)[0])[0]
-        return bool(self._searches.columns.earlier[search] != NONE and self._tree.target[root] > 0)
+        return bool(self._searches.columns.earlier[search] != NONE and self._searches.columns.root[search] > 0)
 
     def _row_0(self, first: int) -> int:
         """Return the tree row at the first target on the best path of search `first`."""

@@ -52,6 +52,7 @@ class SearchColumns(NamedTuple):
     width: Int[np.ndarray, "n"]  # factor on the settings' beam widths and rounds of self-motions
     failure: Int[np.ndarray, "n"]  # Status of the search if no more configurations reach the next target
     status: Int[np.ndarray, "n"]  # Status of a search that ended before its last target; else NONE
+    root: Int[np.ndarray, "n"]  # target of the root of an ended search's best path; 0 for the start
 
 
 class Searches:
@@ -100,7 +101,7 @@ class Searches:
             "earlier": before,
             "draws": 0 if earlier is None else self.columns.draws[before],
         }
-        equal = {"rounds": 0, "work": 0, "width": width, "failure": NONE, "status": NONE}
+        equal = {"rounds": 0, "work": 0, "width": width, "failure": NONE, "status": NONE, "root": NONE}
         columns = SearchColumns(**{name: np.zeros_like(new) + value for name, value in (given | equal).items()})
         self.columns = tables.concatenate([self.columns, columns])
         self.going = np.append(self.going, np.ones(len(new), bool))
@@ -127,8 +128,7 @@ class Searches:
 
     def beam_of(self, search: int) -> list[int]:
         """Return the tree rows in the beam of an ended search, the best first."""
-        rows = self._ended[search]
-        return rows[best_first(self.tree.nodes(rows))].tolist()
+        return self._ended[search].tolist()
 
     def store_extended(self, arrived: Members) -> None:
         """Store the results of extending all `pending` rows."""
@@ -174,12 +174,15 @@ class Searches:
     def pop_ended(self) -> list[int]:
         """Remove searches that have ended, by success or failure, from the running ones; return their indices."""
         ended = self.going & self._done
-        held = self.beam.of(ended)
+        searches, held = np.flatnonzero(ended), self.beam.of(ended)
         self.going &= ~ended
         self.beam, self.pending = self.beam.of(self.going), self.pending.of(self.going)
-        searches = np.flatnonzero(ended).tolist()
-        self._ended |= {search: held.node[held.search == search] for search in searches}
-        return searches
+        if len(searches):
+            rows = held.node[best_first(self.tree.nodes(held.node), held.search)]
+            first = np.searchsorted(held.search, searches)
+            self._ended |= zip(searches.tolist(), np.split(rows, first[1:]), strict=True)
+            self.columns.root[searches] = np.maximum(0, self.tree.target[self.tree.roots(rows[first])])
+        return searches.tolist()
 
     def forget(self, ended: list[int]) -> None:
         """Discard the beams of ended searches."""

@@ -142,6 +142,12 @@ class BeamTree(configurations.Tree):
         found = np.flatnonzero(owners >= 0)
         return found, owners[found]
 
+    def roots(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "m"]:
+        """Return the row of the root of each node."""
+        while ((above := self._table.parent[rows]) != configurations.NO_PARENT).any():
+            rows = np.where(above == configurations.NO_PARENT, rows, above)
+        return rows
+
     def prune(self, rows: Int[np.ndarray, "m"]) -> Int[np.ndarray, "n"]:
         """Remove all nodes except those in `rows` and their ancestors; return the new row of each old row."""
         (kept_rows, _), moved = self.with_ancestors(rows, np.zeros_like(rows)), np.full(self._count, -1)
