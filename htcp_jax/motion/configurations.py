@@ -70,18 +70,29 @@ def _farthest_first(
         most: Maximum number of rows per group.
         apart: Minimum distance [rad].
     """
-    table = np.zeros((group[-1] + 1, nth.max() + 1, x.shape[1]))
-    table[group, nth] = x
-    every, kept = np.arange(len(table)), np.zeros(table.shape[:2], bool)
-    distance = np.full(kept.shape, -1.0)  # of rows that do not exist, which are never selected
+    row = np.zeros((group[-1] + 1, nth.max() + 1), int)
+    row[group, nth] = np.arange(len(x))
+    joints, every = _by_joint(x, row), np.arange(len(row))
+    kept, distance = np.zeros(row.shape, bool), np.full(row.shape, -1.0)  # -1: there is no such row
     distance[group, nth] = np.inf
-    farthest = np.zeros(len(table), int)
+    farthest = np.zeros(len(row), int)
     for _ in range(most):
         going = distance[every, farthest] >= apart
         kept[every[going], farthest[going]] = True
-        distance = np.minimum(distance, np.linalg.norm(table - table[every, farthest][:, None], axis=2))
+        distance = np.minimum(distance, _distance(joints, joints[:, every, farthest, None]))
         farthest = np.argmax(distance, axis=1)
     return kept[group, nth]
+
+
+def _by_joint(x: Float[np.ndarray, "n N"], row: Int[np.ndarray, "G K"]) -> Float[np.ndarray, "N G K"]:
+    """Return a table of configurations for each joint, as NumPy is faster along long axes."""
+    return np.stack([x[:, joint][row] for joint in range(x.shape[1])])
+
+
+def _distance(a: Float[np.ndarray, "N G #K"], b: Float[np.ndarray, "N G #K"]) -> Float[np.ndarray, "G K"]:
+    """Return the distances of configurations [rad]."""
+    apart = a - b
+    return np.sqrt(np.square(apart, out=apart).sum(axis=0))
 
 
 def _kept_apart(
@@ -97,12 +108,12 @@ def _kept_apart(
     first, count = first[by_count], count[by_count]
     row = first[:, None] + np.arange(count.max(initial=0))  # rows of each search's k-th configuration
     row = np.minimum(row, len(x) - 1)
-    table, kept = x[row], known[row]
+    joints, kept = _by_joint(x, row), known[row]
     for k in range(row.shape[1]):
         longer = np.searchsorted(-count, -k, side="left")  # number of searches with more than k rows
-        new = np.flatnonzero(~kept[:longer, k])
-        away = np.linalg.norm(table[new, :k] - table[new, k : k + 1], axis=2)
-        kept[new, k] = ~((away < apart) & kept[new, :k]).any(axis=1)
+        if not kept[:longer, k].all():
+            away = _distance(joints[:, :longer, :k], joints[:, :longer, k : k + 1])
+            kept[:longer, k] |= ~((away < apart) & kept[:longer, :k]).any(axis=1)
     found = np.zeros(len(x), bool)
     there = np.arange(row.shape[1]) < count[:, None]
     found[row[there]] = kept[there]
