@@ -6,19 +6,20 @@
 Every method plans from the start, so these paths can be added to the plans of every method. If no start is given, it is
 chosen among configurations sampled at the first target, the clearest first. Four configurations at a time are joined to
 home; the start is the one joined in the fewest rounds of queries. Without a home, it is the clearest configuration.
+All scenarios share the calls of lane functions: their trials are one table.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from htcp_jax.model import Scenario
+from htcp_jax.device import tables
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import join
-from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.sparse_columns import ViaPoints
@@ -30,14 +31,15 @@ TOGETHER, MOST_TRIED = 4, 16  # sampled starts that are joined at a time, and pe
 PAIR = 500_000  # number of the first pair that begins at home; transfers use smaller numbers
 
 ViaPointsFromHome = dict[int, Float[np.ndarray, "_ N"]]  # scenario -> via points from home to the start [rad or m]
+Rows = Int[np.ndarray, "n"]
 
 
-class Trial(NamedTuple):
-    """A configuration that may become the start of a scenario."""
+class Trials(NamedTuple):
+    """Table of n configurations that may become starts, sorted by scenario and then by preference."""
 
-    scenario: int
-    pair: int  # number of the pair of home and x, which seeds random numbers
-    x: Float[np.ndarray, "N"]  # [rad or m]
+    scenario: Rows
+    pair: Int[np.ndarray, "n"]  # numbers of the pairs of home and x, which seed random numbers
+    x: Float[np.ndarray, "n N"]  # [rad or m]
 
 
 class Start(NamedTuple):
@@ -56,8 +58,8 @@ def leave_home(problem: Problem) -> tuple[Problem, ViaPointsFromHome]:
     """
     scenarios = problem.scenarios
     apart = scenarios.auto_start | (scenarios.x_home != scenarios.x_start).any(axis=1)
-    rows = problem.to_plan[apart[problem.to_plan]].tolist()
-    if not rows:
+    rows = problem.to_plan[apart[problem.to_plan]]
+    if not len(rows):
         return problem, {}
     parts = problem.in_threads(lambda checker, share: HomeConnector(problem, checker).run(rows[share]))
     x_start, refused, from_home = scenarios.x_start.copy(), scenarios.refused.copy(), ViaPointsFromHome()
@@ -73,66 +75,69 @@ class HomeConnector:
     """Search that joins home to the start for many scenarios together."""
 
     def __init__(self, problem: Problem, checker: CollisionChecker):
-        self._problem, self._checker = problem, checker
+        self._problem, self._checker, self._scenarios = problem, checker, problem.scenarios
+        self._starts: dict[int, Start] = {}
 
-    def run(self, rows: list[int]) -> dict[int, Start]:
-        """Return the starts of some scenarios."""
-        x_home, x_start, anywhere = self._scenarios.x_home, self._scenarios.x_start, self._problem.begins_anywhere
-        starts = {s: self._without_home(s) for s in rows if anywhere[s]}
-        rows = [s for s in rows if not anywhere[s]]
-        leave = self._clear(rows, x_home)
-        chosen = [s for s in leave if self._scenarios.auto_start[s]]
-        given = [s for s in leave if s not in chosen]
-        arrive = self._clear(given, x_start)
-        starts |= {s: Start(x_start[s], Status.HOME_IN_COLLISION) for s in rows}
-        starts |= {s: Start(x_start[s], Status.START_IN_COLLISION) for s in given}
-        starts |= {s: Start(x_start[s], Status.NO_START) for s in chosen}
-        starts |= self._joined({s: [Trial(s, PAIR, x_start[s])] for s in arrive})
+    def run(self, rows: Rows) -> dict[int, Start]:
+        """Return the starts of some scenarios, whose rows ascend."""
+        scenarios, anywhere = self._scenarios, self._problem.begins_anywhere[rows]
+        self._choose_without_home(rows[anywhere])
+        leave = self._clear(rows[~anywhere], scenarios.x_home, Status.HOME_IN_COLLISION)
+        is_chosen = scenarios.auto_start[leave]
+        arrive = self._clear(leave[~is_chosen], scenarios.x_start, Status.START_IN_COLLISION)
+        self._join(Trials(arrive, np.full(len(arrive), PAIR), scenarios.x_start[arrive]))
+        chosen = self._without_start(leave[is_chosen], Status.NO_START)
         for round_ in range(ROUNDS):
-            trials = {s: self._drawn(s, round_) for s in chosen if starts[s].via_points is None}
-            starts |= self._joined({s: found for s, found in trials.items() if found})
-        return starts
+            self._join(self._sampled(self._not_joined(chosen), round_))
+        return self._starts
 
-    @property
-    def _scenarios(self) -> Scenario:
-        return self._problem.scenarios
+    def _without_start(self, rows: Rows, status: Status) -> Rows:
+        """Store a status as the reason why scenarios cannot begin, until a start is found; return the scenarios."""
+        self._starts |= {s: Start(self._scenarios.x_start[s], status) for s in rows.tolist()}
+        return rows
 
-    def _without_home(self, s: int) -> Start:
-        """Return the start of a scenario without a home: the clearest one of the first round with a valid start."""
+    def _not_joined(self, rows: Rows) -> Rows:
+        return np.array([s for s in rows.tolist() if self._starts[s].via_points is None], int)
+
+    def _choose_without_home(self, rows: Rows) -> None:
+        """Choose the starts of scenarios without a home: the clearest one of the first round with a valid start."""
+        self._without_start(rows, Status.NO_START)
         for round_ in range(ROUNDS):
-            if found := self._drawn(s, round_):
-                return Start(found[0].x)
-        return Start(self._scenarios.x_start[s], Status.NO_START)
+            trials = self._sampled(rows, round_)
+            clearest = tables.gather(trials, np.flatnonzero(np.diff(trials.scenario, prepend=-1)))
+            self._starts |= {s: Start(x) for s, x in zip(clearest.scenario.tolist(), clearest.x, strict=True)}
+            self._problem.progress(0, 0, len(clearest.x))
+            rows = np.setdiff1d(rows, clearest.scenario)
 
-    def _clear(self, rows: list[int], x: Float[np.ndarray, "S N"]) -> list[int]:
-        """Return the scenarios whose configuration in x is clear."""
-        if not rows:
-            return []
-        inputs = lane_inputs(self._scenarios, np.array(rows), np.zeros(len(rows), int))
-        return np.array(rows)[self._checker.states(inputs, x[rows]).clearance > 0].tolist()
+    def _clear(self, rows: Rows, x: Float[np.ndarray, "S N"], status: Status) -> Rows:
+        """Return the scenarios whose configuration in x is clear; store a status as that of the others."""
+        if not len(rows):
+            return rows
+        clear = self._checker.states(self._problem.inputs(rows, 0), x[rows]).clearance > 0
+        self._without_start(rows[~clear], status)
+        return rows[clear]
 
-    def _drawn(self, s: int, round_: int) -> list[Trial]:
-        """Return one round of trials: valid configurations at the first target, the clearest first."""
-        found, _ = other_configurations(self._problem, self._checker, np.array([s]), FIRST_ROUND + round_)
-        clearest = found.x[np.argsort(-found.clearance, kind="stable")[:MOST_TRIED]]
-        return [Trial(s, PAIR + round_ * MOST_TRIED + k, x) for k, x in enumerate(clearest)]
+    def _sampled(self, rows: Rows, round_: int) -> Trials:
+        """Return one round of trials: valid configurations at the first targets, the clearest of each scenario first."""
+        if not len(rows):
+            return Trials(rows, rows, self._scenarios.x_start[rows])
+        at, lane = other_configurations(self._problem, self._checker, rows, FIRST_ROUND + round_)
+        order, place = np.lexsort((-at.clearance, lane)), np.arange(len(lane)) - np.searchsorted(lane, lane)
+        pair = PAIR + round_ * MOST_TRIED + place
+        return tables.gather(Trials(rows[lane], pair, at.x[order]), place < MOST_TRIED)
 
-    def _joined(self, trials: dict[int, list[Trial]]) -> dict[int, Start]:
-        """Return each scenario's start: the trial joined in the fewest rounds of queries, with its via points."""
+    def _join(self, trials: Trials) -> None:
+        """Join home to each scenario's trials, and store the one joined in the fewest rounds of queries as its start."""
         scenarios, settings = self._scenarios, self._problem.settings
-        starts = {s: Start(scenarios.x_start[s], Status.HOME_NOT_JOINED) for s in trials}
-        for first in range(0, MOST_TRIED, TOGETHER):
-            open_ = [own[first : first + TOGETHER] for s, own in trials.items() if starts[s].via_points is None]
-            now = [trial for own in open_ for trial in own]
-            if not now:
-                break
-            s, pair, to = (np.array(column) for column in zip(*now, strict=True))
-            found = join(self._checker, scenarios, s, pair, scenarios.x_home[s], to, settings, soonest=True)
-            joined = [
-                (trial, via_points) for trial, via_points in zip(now, found, strict=True) if via_points is not None
-            ]
-            starts |= {trial.scenario: Start(trial.x, via_points=via_points) for trial, via_points in joined}
-        return starts
+        self._without_start(np.unique(trials.scenario), Status.HOME_NOT_JOINED)
+        group = (trials.pair - PAIR) % MOST_TRIED // TOGETHER
+        for number in range(MOST_TRIED // TOGETHER):
+            now = tables.gather(trials, (group == number) & np.isin(trials.scenario, self._not_joined(trials.scenario)))
+            s, pair, x = now
+            report = partial(self._problem.progress, 0, 0)
+            joined = join(self._checker, scenarios, s, pair, scenarios.x_home[s], x, settings, soonest=True, report=report)
+            found = zip(s.tolist(), x, joined, strict=True)
+            self._starts |= {s: Start(x, via_points=each) for s, x, each in found if each is not None}
 
 
 def begin_at_home(problem: Problem, plans: Plans, from_home: ViaPointsFromHome) -> Plans:

@@ -17,7 +17,7 @@ queries of all searches go to the device in one batch. Searches are independent,
 seed and the numbers of scenario and pair: a result does not depend on which pairs are joined together.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -45,6 +45,8 @@ class QueriedPaths(NamedTuple):
     a: Float[np.ndarray, "m N"]  # [rad or m]
     b: Float[np.ndarray, "m N"]  # [rad or m]
     deepest: Int[np.ndarray, "m"]  # maximum number of halvings in each proof
+    left: int = 0  # least number of further rounds of queries until the search ends with a path
+    is_joined: bool = False  # True: the search will end with a path, after `left` further rounds
 
 
 Joining = Generator[QueriedPaths, Bool[np.ndarray, "m"], Any]  # yields queries, receives True for proven paths
@@ -60,6 +62,7 @@ def join(
     b: Float[np.ndarray, "n N"],
     settings: Settings,
     soonest: bool = False,
+    report: Callable[[int], None] = lambda joined: None,
 ) -> list[Float[np.ndarray, "_ N"] | None]:
     """Return via points between the two configurations of each pair, without these configurations.
 
@@ -74,7 +77,9 @@ def join(
         b: Second configurations, within the joint limits [rad or m].
         settings: Settings of the search.
         soonest: True to join only one pair per scenario: the one joined in the fewest rounds of queries, the first of
-            several. The other pairs are abandoned.
+            several. The other pairs are abandoned when they can no longer be that pair.
+        report: Function that is called before each round of queries, with the number of scenarios that have a joined
+            pair for the first time. An exception in it ends the search.
 
     Returns:
         The via points of each pair [rad or m]; an empty array if the straight joint path is clear. None if an end is
@@ -87,26 +92,27 @@ def join(
     answers: dict[int, np.ndarray] = {}
     rounds, best = [0] * len(a), {}  # best: scenario -> rounds and number of the pair joined in the fewest rounds
 
-    def may_be_soonest(k: int) -> bool:
-        return not soonest or (rounds[k], k) < best.get(scenario[k], (np.inf, k))
+    def may_be_soonest(k: int, left: int) -> bool:
+        return not soonest or (rounds[k] + left, k) <= best.get(scenario[k], (np.inf, k))
 
     while True:
         for k in islice(waiting, most - len(searches)):
             rng = np.random.default_rng([settings.seed, int(scenarios.number[scenario[k]]), int(pair[k])])
             searches[k] = _join_pair(a[k], b[k], limits, rng, settings)
         if not searches:
-            return via_points
-        queries: dict[int, QueriedPaths] = {}
+            chosen = {k for _, k in best.values()}
+            return [found if k in chosen or not soonest else None for k, found in enumerate(via_points)]
+        queries, known = dict[int, QueriedPaths](), len(best)
         for k, search in searches.items():
             try:
-                queries[k] = search.send(answers.get(k))
-                rounds[k] += 1
+                queries[k] = paths = search.send(answers.get(k))
+                rounds[k], left, is_joined = rounds[k] + 1, paths.left, paths.is_joined
             except StopIteration as end:
-                if end.value is not None and may_be_soonest(k):
-                    if soonest and scenario[k] in best:
-                        via_points[best[scenario[k]][1]] = None
-                    via_points[k], best[scenario[k]] = end.value, (rounds[k], k)
-        queries = {k: paths for k, paths in queries.items() if may_be_soonest(k)}
+                via_points[k], left, is_joined = end.value, 0, end.value is not None
+            if is_joined and may_be_soonest(k, left):
+                best[scenario[k]] = rounds[k] + left, k
+        report(len(best) - known)
+        queries = {k: paths for k, paths in queries.items() if may_be_soonest(k, paths.left)}
         searches = {k: searches[k] for k in queries}
         answers = _answers(checker, scenarios, scenario, queries) if queries else {}
 
@@ -117,7 +123,7 @@ def _answers(
     """Return, for each search, True for the queried joint paths that are proven."""
     counts = [len(paths.a) for paths in queries.values()]
     own = np.repeat(scenario[list(queries)], counts)
-    a, b, deepest = (np.concatenate(column) for column in zip(*queries.values(), strict=True))
+    a, b, deepest = (np.concatenate([paths[k] for paths in queries.values()]) for k in range(3))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
     clear = checker.edges(inputs, a, b, deepest=deepest).verdict == SegmentStatus.VALID
     for end in (a, b):
@@ -165,14 +171,16 @@ class _JointTree(Tree):
         path = self.path(node)
         return self.x[path[::-1] if self.backwards else path]
 
-    def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float) -> Joining:
+    def extend(
+        self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float, left: int = 0
+    ) -> Joining:
         """Extend each node towards its goal, step by step while steps are proven; return the last nodes."""
         node, branches = node.copy(), np.arange(len(node))
         while len(branches):
             x, to = self.x[node[branches]], goal[branches]
             distance = np.linalg.norm(to - x, axis=1)
             next_x = _interpolated(x, to, np.minimum(1.0, step / np.maximum(distance, step)))
-            clear = yield _full_queries(next_x, x) if self.backwards else _full_queries(x, next_x)
+            clear = yield (_full_queries(next_x, x, left) if self.backwards else _full_queries(x, next_x, left))
             node[branches[clear]] = self.add(_Nodes(next_x[clear], node[branches[clear]]))
             branches = branches[clear & (distance > step)]
         return node
@@ -180,14 +188,14 @@ class _JointTree(Tree):
 
 def _grow_trees(a: np.ndarray, b: np.ndarray, limits: Limits, rng: np.random.Generator, settings: Settings) -> Joining:
     """Return a path of proven steps from a to b; None if no path is found in the maximum number of rounds."""
-    trees, step = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad
+    trees, step, left = (_JointTree(a, False), _JointTree(b, True)), settings.search_step_rad, settings.search_shortcuts
     for _ in range(settings.search_rounds):
         small, other = sorted(trees, key=len)
         node = rng.integers(len(small), size=DRAWS)
-        ends = yield from small.extend(node, _sampled_goals(small.x[node], limits, rng), step)
+        ends = yield from small.extend(node, _sampled_goals(small.x[node], limits, rng), step, left)
         ends = ends[ends != node]
         goals = small.x[ends]
-        meet = yield from other.extend(other.nearest(goals), goals, step)
+        meet = yield from other.extend(other.nearest(goals), goals, step, left)
         met = np.flatnonzero((other.x[meet] == goals).all(axis=1))
         if len(met):
             paths = {tree.backwards: tree.path_to(int(nodes[met[0]])) for tree, nodes in ((small, ends), (other, meet))}
@@ -204,13 +212,13 @@ def _sampled_goals(x: np.ndarray, limits: Limits, rng: np.random.Generator) -> n
 
 def _shorten(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining:
     """Return the path shortened by straight joint paths; each round takes the shortcut that saves most."""
-    for _ in range(rounds):
+    for left in reversed(range(rounds)):
         cuts = np.sort(rng.random((DRAWS, 2)) * (len(path) - 1), axis=1)
         cuts[::2] = np.rint(cuts[::2])  # from via point to via point, which reduces the number of via points
         before, after = np.floor(cuts[:, 0]).astype(int), np.ceil(cuts[:, 1]).astype(int)
         p, q = (_configurations_at(path, cut) for cut in cuts.T)
         legs = np.stack([path[before], p, q, path[after]], axis=1)
-        clear = yield _shallow_queries(*(part.reshape(-1, path.shape[1]) for part in (legs[:, :-1], legs[:, 1:])))
+        clear = yield _shallow_queries(*(part.reshape(-1, path.shape[1]) for part in (legs[:, :-1], legs[:, 1:])), left)
         travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         length = np.linalg.norm(np.diff(legs, axis=1), axis=2).sum(axis=1)
         saved = np.where(clear.reshape(DRAWS, 3).all(axis=1), travelled[after] - travelled[before] - length, 0.0)
@@ -220,16 +228,15 @@ def _shorten(path: np.ndarray, rng: np.random.Generator, rounds: int) -> Joining
     return path
 
 
-def _full_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
-    return QueriedPaths(a, b, np.full(len(a), motion_proof.DEEPEST, np.int32))
+def _full_queries(a: np.ndarray, b: np.ndarray, left: int = 0) -> QueriedPaths:
+    return QueriedPaths(a, b, np.full(len(a), motion_proof.DEEPEST, np.int32), left)
 
 
-def _shallow_queries(a: np.ndarray, b: np.ndarray) -> QueriedPaths:
-    """Return queries with few halvings per proof, as shortcuts that graze walls are not wanted."""
+def _shallow_queries(a: np.ndarray, b: np.ndarray, left: int) -> QueriedPaths:
+    """Return a joined search's queries with few halvings per proof, as shortcuts that graze walls are not wanted."""
     parts = np.linalg.norm(b - a, axis=1) / FINEST_RAD
-    return QueriedPaths(
-        a, b, np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32)
-    )
+    deepest = np.clip(np.ceil(np.log2(np.maximum(parts, 1.0))), 0, motion_proof.DEEPEST).astype(np.int32)
+    return QueriedPaths(a, b, deepest, left, is_joined=True)
 
 
 def _configurations_at(path: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -65,7 +65,7 @@ FoundInThread = TypeVar("FoundInThread")
 Rows = int | np.integer | Int[np.ndarray, "n"]
 
 
-def ignore(tracked: int, finished: int) -> None:
+def ignore(tracked: int, finished: int, begun: int | None = None) -> None:
     """Progress callback that does nothing."""
 
 
@@ -75,7 +75,8 @@ class Problem:
 
     `Problem.of` makes a problem. It is final: before a method gets it, starts are chosen and scenarios are refused. Its
     arrays are read-only. `progress` has two arguments: the numbers of newly tracked targets and of newly finished
-    scenarios. It may be called at any time, on any thread; an exception in it ends planning.
+    scenarios; a third one, optional, is the number of scenarios whose start was newly chosen. It may be called at any
+    time, on any thread; an exception in it ends planning.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`
@@ -87,7 +88,7 @@ class Problem:
     execution: Execution = DEFAULT
     check_paths: bool = True  # True: after `plan`, joint paths that the method did not check are checked
     check_starts: bool = False  # True: a start in collision is an error
-    progress: Callable[[int, int], None] = ignore
+    progress: Callable[..., None] = ignore
     prepared_s: float = 0.0  # time that `of` took, a part of `Plans.run_s`
     checkers: tuple[CollisionChecker, ...] = ()  # one for each device, made with the problem
 
@@ -229,7 +230,7 @@ class Problem:
             # Not `map`: if a call fails, `map` cancels calls that have not begun, for which other calls may wait.
             return [each.result() for each in [pool.submit(run, number) for number in range(threads)]]
 
-    def with_scenarios(self, scenarios: Scenario, progress: Callable[[int, int], None] | None = None) -> "Problem":
+    def with_scenarios(self, scenarios: Scenario, progress: Callable[..., None] | None = None) -> "Problem":
         """Return the problem with other scenarios, and the same checkers; `progress` replaces the callback."""
         return replace(self, scenarios=scenarios, progress=progress or self.progress)
 

@@ -51,10 +51,12 @@ def other_configurations(
         own = np.arange(first, min(first + TOGETHER, count))
         drawn, lane = drawn_configurations(problem, checker, scenario[own], round_[own]), np.repeat(own, DRAWS)
         here = projected(problem, checker, scenario[lane], target[lane], np.concatenate(drawn))
-        parts.append(tables.gather((here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here)))
-    here, lane = tables.concatenate(parts)
-    apart = dispersed(here.x, lane, settings.beam_width, settings.beam_separation_rad)
-    return tables.gather((here, lane), apart)
+        here, lane = tables.gather(
+            (here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here)
+        )
+        apart = dispersed(here.x, lane, settings.beam_width, settings.beam_separation_rad)
+        parts.append(tables.gather((here, lane), apart))
+    return tables.concatenate(parts)
 
 
 def projected(

@@ -35,6 +35,7 @@ class Progress(NamedTuple):
     scenarios: int
     targets_tracked: int
     targets: int
+    starts: int | None = None  # number of chosen starts that are joined to home; None before the search for them
 
 
 def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Progress], None] | None = None) -> Plans:
@@ -170,13 +171,13 @@ def _plan_part(method: str, notify: Callable, given: tuple, how: dict[str, Any],
     return plan(Problem(robot, workpiece, scenarios, *others, **how), method, progress)
 
 
-def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[[int, int], None]:
+def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[..., None]:
     """Return a function that adds counts of newly tracked targets and finished scenarios, and reports the totals.
 
-    It may be called on any thread.
+    Its third argument, optional, counts newly chosen starts. It may be called on any thread.
     """
     if progress is None:
-        return lambda tracked, finished: None
+        return lambda tracked, finished, begun=None: None
     lock = threading.Lock()
     now = Progress(
         int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()),
@@ -185,11 +186,13 @@ def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -
         int(scenarios.count.sum()),
     )
 
-    def add(tracked: int, finished: int) -> None:
+    def add(tracked: int, finished: int, begun: int | None = None) -> None:
         nonlocal now
         with lock:
             now = now._replace(
-                scenarios_done=now.scenarios_done + finished, targets_tracked=now.targets_tracked + tracked
+                scenarios_done=now.scenarios_done + finished,
+                targets_tracked=now.targets_tracked + tracked,
+                starts=now.starts if begun is None else (now.starts or 0) + begun,
             )
             progress(now)
 

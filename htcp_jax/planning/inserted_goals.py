@@ -116,7 +116,7 @@ def planned(plan: PlanRows, problem: Problem) -> Plans:
             break
         pieces = pieces.copy()
         pieces[rows, lost[rows]] *= 2
-        again = _planned(plan, problem, rows, pieces, lambda tracked, finished: None)
+        again = _planned(plan, problem, rows, pieces, lambda *counts: problem.progress(0, 0))
         ends, others = plans.outcomes, again.outcomes
         better = others.executable + others.tracked > (ends.executable + ends.tracked)[rows]
         stays = np.setdiff1d(np.arange(len(lost)), rows[better])

@@ -73,15 +73,15 @@ def planned(plan: Callable[[Problem], Plans], problem: Problem) -> Plans:
     if distinct.all():
         return plan(problem)
 
-    def progress(tracked: int, finished: int) -> None:
+    def progress(tracked: int, finished: int, begun: int | None = None) -> None:
         nonlocal shown
         shown += tracked
-        problem.progress(tracked, finished)
+        problem.progress(tracked, finished, begun)
 
     plans, fits = _with_own_errors(problem, _planned(plan, problem, distinct, progress), distinct)
     if len(rows := np.flatnonzero(~fits)):
         scenarios = jax.tree.map(lambda leaf: leaf[rows], problem.scenarios)
-        again = plan(problem.with_scenarios(scenarios, lambda tracked, finished: None))
+        again = plan(problem.with_scenarios(scenarios, lambda *counts: problem.progress(0, 0)))
         others = np.flatnonzero(fits)
         plans = Plans.concatenate([plans.rows(others), again]).rows(np.argsort(np.append(others, rows)))
     problem.progress(int(plans.tracked.sum()) - shown, 0)
