@@ -1,11 +1,13 @@
 """Dead ends of the beam search: what is tried after them only adds targets, is bounded, and is recorded."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import toy
 
+from htcp_jax.device import Executor
 from htcp_jax.errors import InputError
 from htcp_jax.model import Workpiece
 from htcp_jax.model.scenario_setup import make_scenario
@@ -110,6 +112,22 @@ def test_dead_ends_follow_their_scenarios():
     both = Plans.concatenate([plans, turned])
     assert both.dead_ends.on(len(rows)) == plans.dead_ends.on(int(rows[0]))
     assert both.rows(rows).dead_ends.on(0) == plans.dead_ends.on(int(rows[0]))
+
+
+def test_searches_after_dead_ends_of_many_scenarios_share_their_calls(monkeypatch):
+    """Of equal scenarios each is searched as if alone, with as many calls of lane functions for three as for one."""
+    whole, calls, call = with_effort(20.0), [], Executor.__call__
+    lost = int(whole.dead_ends.scenario[0])
+    monkeypatch.setattr(Executor, "__call__", lambda self, *args: calls.append(args[0].name) or call(self, *args))
+    settings, counts = replace(toy.SETTINGS, effort=20.0, smooth=False), []
+    for many in (1, 3):
+        calls.clear()
+        plans = toy.planned([toy.scenarios()[lost]] * many, settings=settings, threads=1)
+        counts.append(Counter(calls))
+        for s in range(many):
+            toy.same(whole, lost, plans, s, plans.status.shape[1])
+            assert plans.dead_ends.on(s) == whole.dead_ends.on(lost)
+    assert counts[0] == counts[1] and {"push", "prove", "extend"} <= set(counts[0])
 
 
 def test_an_effort_below_zero_is_refused():

@@ -6,6 +6,8 @@ lead through a wall. On the approach the task is not required, so the arm may mo
 path that is proven clear.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -15,6 +17,7 @@ from htcp_jax.motion.configurations import dispersed
 from htcp_jax.motion.joint_search import Limits, join
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.step_functions import State
+from htcp_jax.numerics import ragged_rows
 
 DRAWS = 512  # configurations sampled at a target of one scenario
 TOGETHER = tables.PORTION // DRAWS  # number of scenarios sampled together, which limits the memory
@@ -128,21 +131,27 @@ def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarra
 
 
 def joined(
-    problem: Problem, checker: CollisionChecker, s: int, start: np.ndarray, to: Float[np.ndarray, "n N"]
-) -> list[Float[np.ndarray, "_ N"] | None]:
-    """Return the via points from `start` to the configuration in `to` that is joined in the fewest rounds of queries.
+    problem: Problem,
+    checker: CollisionChecker,
+    scenario: Int[np.ndarray, "n"],
+    start: Float[np.ndarray, "n N"],
+    to: Sequence[Float[np.ndarray, "_ N"]],
+) -> list[list[Float[np.ndarray, "_ N"] | None]]:
+    """Join configurations to the starts of scenarios: for each start, the one joined in the fewest rounds of queries.
 
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
-        s: Row of the scenario.
-        start: The configuration to begin at (N,) [rad or m].
-        to: Configurations to join to it [rad or m]; only the first MOST_ROOTS are tried.
+        scenario: Rows of n scenarios, all different.
+        start: The configurations to begin at [rad or m].
+        to: Configurations to join to each of them [rad or m]; only the first MOST_ROOTS are tried.
 
     Returns:
-        A list with one entry per configuration in `to`: via points for the joined one, None for all others.
+        A list per scenario with one entry per configuration tried: via points for the joined one, None for all others.
     """
-    to = to[:MOST_ROOTS]
-    scenario, pair = np.full(len(to), s), np.arange(len(to))
-    starts = np.broadcast_to(start, to.shape)
-    return join(checker, problem.scenarios, scenario, pair, starts, to, problem.settings, soonest=True)
+    to = [each[:MOST_ROOTS] for each in to]
+    row, pair = ragged_rows(np.array([len(each) for each in to], int))
+    ends = np.concatenate(to) if to else start
+    found = join(checker, problem.scenarios, scenario[row], pair, start[row], ends, problem.settings, soonest=True)
+    last = np.cumsum([len(each) for each in to]).tolist()
+    return [found[end - len(each) : end] for end, each in zip(last, to, strict=True)]

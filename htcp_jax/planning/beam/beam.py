@@ -47,6 +47,7 @@ from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
+THREADS_PER_GPU = 4
 IN_FLIGHT = 4  # the number of scenarios planned together is the number of lanes / IN_FLIGHT
 
 
@@ -75,8 +76,8 @@ class BeamSearchMethod(Method):
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
         plans, threads = problem.empty_plans(), problem.threads
         if not problem.checkers[0].executor.pays_by_lane:
-            # Two threads per GPU: while the GPU computes for one, the other builds its tables.
-            threads = max(threads, 2 * len(problem.checkers))
+            # Several threads per GPU: while it computes for one, the others build their tables.
+            threads = max(threads, THREADS_PER_GPU * len(problem.checkers))
 
         def work(checker: CollisionChecker, share: slice) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
             return BeamSearch(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
@@ -115,8 +116,7 @@ class BeamSearch:
             self._dead_ends.meet()
             tracked, target = searches.tracked - before, searches.columns.target
             finished = self._begin_again(searches.pop_ended())
-            for last in finished:
-                search, *path = self._record.chosen(last)
+            for last, (search, *path) in zip(finished, self._record.chosen(finished), strict=True):
                 self._dead_ends.set_blocked(search)
                 via_points += self._record.write(search, *path)
                 tracked += int(target[search] - target[searches.chain(last)[-1]])

@@ -1,5 +1,6 @@
 """Results of an ended beam search: the path to its best leaf, and the motion from the start to the path's root."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -21,30 +22,53 @@ class BeamRecord:
         self._problem, self._plans, self._checker = problem, plans, checker
         self._searches, self._tree = searches, searches.tree
 
-    def chosen(self, last: int) -> tuple[int, int, np.ndarray | None]:
-        """Return the result of a scenario whose last search has ended.
+    def chosen(self, ended: list[int]) -> list[tuple[int, int, np.ndarray | None]]:
+        """Return the results of scenarios whose last searches have ended.
 
         Returns:
-            The search that reached the farthest target, the tree row of its best leaf, and the via points of the
-                transfer to the path's root (V, N) [rad or m]; None if there is no transfer.
+            For each scenario the search that reached the farthest target, the tree row of its best leaf, and the via
+                points of the transfer to the path's root (V, N) [rad or m]; None if there is no transfer.
         """
-        searches, scenarios = self._searches, self._problem.scenarios
-        s, chain = int(searches.columns.scenario[last]), searches.chain(last)
-        forwards = [one for one in chain[::-1] if searches.columns.step[one] > 0]
-        for search in sorted(forwards, key=lambda one: -searches.columns.target[one]):
-            leaves = searches.beam_of(search)
-            if search == chain[-1] or self._problem.begins_anywhere[s]:
-                return search, leaves[0], None
-            roots = dict(zip(leaves, self._tree.roots(np.array(leaves)).tolist(), strict=True))
-            if self._tree.target[roots[leaves[0]]] < 0:
-                return search, leaves[0], None
-            start = self._tree.x[self._row_0(chain[-1])] if self._is_approach(search) else scenarios.x_start[s]
-            distinct = list(dict.fromkeys(roots.values()))
-            via_points = transfers.joined(self._problem, self._checker, s, start, self._tree.x[distinct])
-            known = {root: row for root, row in zip(distinct, via_points, strict=False) if row is not None}
-            if found := [leaf for leaf in leaves if roots[leaf] in known]:
-                return search, found[0], known[roots[found[0]]]
-        raise AssertionError("the first search begins at the start, so there is no transfer to it")
+        found, open_ = {}, {last: self._farthest_first(last) for last in ended}
+        while open_:
+            now = {last: next(searches) for last, searches in open_.items()}
+            direct = {last: search for last, search in now.items() if not self._needs_transfer(search)}
+            found |= {last: (search, self._searches.beam_of(search)[0], None) for last, search in direct.items()}
+            found |= self._transferred({last: search for last, search in now.items() if last not in direct})
+            open_ = {last: searches for last, searches in open_.items() if last not in found}
+        return [found[last] for last in ended]
+
+    def _farthest_first(self, last: int) -> Iterator[int]:
+        """Yield the scenario's searches forwards, the one that reached the farthest target first."""
+        columns, chain = self._searches.columns, self._searches.chain(last)
+        forwards = [one for one in chain[::-1] if columns.step[one] > 0]
+        return iter(sorted(forwards, key=lambda one: -columns.target[one]))
+
+    def _needs_transfer(self, search: int) -> bool:
+        """Return True if the motion must be joined to the roots of a search's beam."""
+        searches = self._searches
+        if searches.columns.earlier[search] == NONE or self._problem.begins_anywhere[searches.columns.scenario[search]]:
+            return False
+        return bool(self._tree.target[self._tree.roots(np.array(searches.beam_of(search)[:1]))[0]] >= 0)
+
+    def _transferred(self, searches: dict[int, int]) -> dict[int, tuple[int, int, np.ndarray]]:
+        """Return the results of searches whose beams are joined to the start, by the last search of their scenarios."""
+        leaves = [self._searches.beam_of(search) for search in searches.values()]
+        roots = [self._tree.roots(np.array(own)).tolist() for own in leaves]
+        distinct = [list(dict.fromkeys(own)) for own in roots]
+        scenario = self._searches.columns.scenario[list(searches.values())]
+        start = self._problem.scenarios.x_start[scenario]
+        for k, search in enumerate(searches.values()):
+            if self._is_approach(search):
+                start[k] = self._tree.x[self._row_0(self._searches.chain(search)[-1])]
+        to = [self._tree.x[own] for own in distinct]
+        found = {}
+        joined = transfers.joined(self._problem, self._checker, scenario, start, to)
+        for (last, search), own, at, rows, via in zip(searches.items(), leaves, roots, distinct, joined, strict=True):
+            known = {root: points for root, points in zip(rows, via, strict=False) if points is not None}
+            if reached := [(leaf, known[root]) for leaf, root in zip(own, at, strict=True) if root in known]:
+                found[last] = search, *reached[0]
+        return found
 
     def write(self, search: int, leaf: int, transfer: np.ndarray | None) -> list[ViaPointRow]:
         """Record the path to a leaf, and the search's status.
