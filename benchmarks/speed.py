@@ -39,7 +39,7 @@ from htcp_jax.spec.strict_yaml import read_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDED = "htcp_jax/__init__.py", "benchmarks/tables.py", "sweeps/cross.yaml", "pyproject.toml"  # of a checkout
-OF_NO_FIGURE = ":!*.md", ":!benchmarks/figures.yaml"  # changes there are ignored
+OF_NO_FIGURE = ":!*.md", ":!benchmarks/figures.yaml", ":!benchmarks/gpu.json"  # changes there are ignored
 FILES = "cloud", "path"  # keys of a workpiece
 
 
@@ -105,16 +105,21 @@ def part_of(file: Path | None) -> dict[str, Any]:
 
 def job_of(part: dict[str, Any], requested: argparse.Namespace) -> str:
     """Describe the job uniquely, files by their contents."""
-    reported = [
-        f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())
-    ]
-    words = ["generated duct"]
-    if part:
-        digest = hashlib.sha256(b"\n".join(reported)).hexdigest()
-        words = [f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"]
+    words = [name_of(part)]
     words += ["--quick"] * requested.quick + ["--warm"] * requested.warm
     words += [f"--{key} {value}" for key in ("methods", "device") if (value := getattr(requested, key))]
     return ", ".join(words + requested.changes)
+
+
+def name_of(part: dict[str, Any]) -> str:
+    """Name a workpiece uniquely, files by their contents."""
+    if not part:
+        return "generated duct"
+    reported = [
+        f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())
+    ]
+    digest = hashlib.sha256(b"\n".join(reported)).hexdigest()
+    return f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"
 
 
 def _contents(value: str) -> bytes:
