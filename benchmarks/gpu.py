@@ -1,4 +1,4 @@
-"""The cross sweep on a GPU, from the shell: this tree compared with another revision, and the record that README quotes.
+"""The cross sweep on a GPU, from the shell: this tree compared with another revision, and the record for README.
 
     python -m benchmarks gpu [--against REVISION | --trees COMMIT=OLD COMMIT=NEW] [--methods A,B] [--scenarios N]
         [--runs N] [--device gpu[:N]|cpu] [--config FILE] [--options=WORDS] [--old-options=WORDS] [--work DIR]
@@ -32,7 +32,7 @@ import tempfile
 import time
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks.speed import ROOT, commit, name_of, part_of
 from benchmarks.speed_cases import ON_CPU, SIX, Broken, Checkout
@@ -76,13 +76,17 @@ def loaded(file: Path) -> dict[str, Any]:
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
-def digest(root: Path) -> str:
-    """Return the digest of a tree's planning code: the files whose digest also names compiled programs."""
+def planning_code(root: Path) -> list[Path]:
+    """Return the files of a tree's planning code, those whose digest also names compiled programs."""
     package = root / "htcp_jax"
-    files = [*package.glob("*.py"), *(file for name in CORE for file in (package / name).rglob("*.py"))]
+    return sorted([*package.glob("*.py"), *(file for name in CORE for file in (package / name).rglob("*.py"))])
+
+
+def digest(root: Path) -> str:
+    """Return the digest of a tree's planning code."""
     code = hashlib.sha256()
-    for file in sorted(files):
-        code.update(f"{file.relative_to(package).as_posix()} {file.stat().st_size}\n".encode() + file.read_bytes())
+    for file in planning_code(root):
+        code.update(f"{file.relative_to(root).as_posix()} {file.stat().st_size}\n".encode() + file.read_bytes())
     return code.hexdigest()
 
 
@@ -90,7 +94,7 @@ def check(root: Path, record: dict[str, Any]) -> int:
     """Return 0 if a record describes a tree's planning code; otherwise print a line, and return 1."""
     if record.get("digest") == digest(root):
         return 0
-    measured = f"describes {record['commit']}, and the planning code has changed" if record else "does not exist"
+    measured = f"describes {record['here']}, and the planning code has changed" if record else "does not exist"
     print(f"warning: benchmarks/gpu.json {measured}: run python -m benchmarks gpu before a release")
     return 1
 
@@ -99,13 +103,16 @@ def rows(record: dict[str, Any]) -> list[str]:
     """Return README's rows; none for a trial."""
     if record.get("device", "cpu") == "cpu" or record["scenarios"]:
         return []
-    hardware = f"{record['device']}, {record['part']}, at {record['commit']}"
-    known = [(words, record["sweeps"][name]) for name, (*_, words) in SWEEPS.items() if name in record["sweeps"]]
+    hardware = f"{record['device']}, {record['part']}, at {record['here']}"
     found = []
-    for words, (medians, runs) in [(words, (each["here"]["medians"], each["here"]["runs"])) for words, each in known]:
-        times = [f"{seconds:.0f} s {name}" for name, seconds in medians.items() if name != "planning"]
-        figures = f"{medians['planning']:.1f} s for {sum(runs[-1]['tracked'].values()):,} targets; {times[-1]}"
-        found.append(f"{ROW}of 105 targets {words} | {figures} | {hardware} |")
+    for name, (*_, words) in SWEEPS.items():
+        if here := record["sweeps"].get(name, {}).get("here"):
+            (_, seconds), *shell = here["medians"].items()
+            targets = sum(here["runs"][-1]["tracked"].values())
+            times = "; ".join(
+                [f"{seconds:.1f} s for {targets:,} targets", *(f"{s:.0f} s {key}" for key, s in shell[-1:])]
+            )
+            found.append(f"{ROW}of 105 targets {words} | {times} | {hardware} |")
     return found
 
 
@@ -122,6 +129,18 @@ def with_rows(page: str, record: dict[str, Any]) -> str:
     return "\n".join([*lines[: above + 1], *rows(record), *lines[above + 1 :]])
 
 
+class Tree(NamedTuple):
+    """One of the two revisions."""
+
+    commit: str
+    checkout: Checkout
+    options: str  # of htcp sweep
+
+    def has(self, method: str) -> bool:
+        """Return True if this revision has a method of a name."""
+        return f'"{method}"' in self.checkout.htcp("methods", "--json", **ON_CPU)
+
+
 def measure(requested: argparse.Namespace, work: Path) -> int:
     """Run the sweeps in turns, print their figures and ratios, and record them.
 
@@ -129,71 +148,66 @@ def measure(requested: argparse.Namespace, work: Path) -> int:
         InputError: Without a GPU, or if there is no other revision.
         Broken: If a run fails.
     """
-    part = part_of(requested.config)
-    hardware = json.loads(Checkout("new", ROOT, part).python("-m", "benchmarks.hardware"))
-    trial_on_cpu = requested.device == "cpu"
-    if not hardware["gpus"] and not trial_on_cpu:
+    part, on_cpu = part_of(requested.config), requested.device == "cpu"
+    hardware = json.loads(Checkout("here", ROOT, part).python("-m", "benchmarks.hardware", **ON_CPU if on_cpu else {}))
+    if not hardware["gpus"] and not on_cpu:
         raise InputError("JAX finds no GPU here; --device cpu runs a trial on the CPU")
-    commits, (old, new) = _trees(requested, work, part)
-    options = {"old": requested.options if requested.old_options is None else requested.old_options}
-    options["new"] = requested.options
+    trees = _trees(requested, work, part)
     facts = {
-        "device": "cpu" if trial_on_cpu else f"{requested.device.partition(':')[2] or hardware['gpus']} x {hardware['kind']}",
-        "machine": hardware["machine"],
-        "versions": hardware["versions"],
+        "device": "cpu" if on_cpu else f"{requested.device.partition(':')[2] or hardware['gpus']} {hardware['kind']}",
+        **{key: hardware[key] for key in ("machine", "versions")},
         "part": name_of(part),
         "scenarios": requested.scenarios,
-        "options": options,
-        "commit": commits["new"],
-        "against": commits["old"],
-        "digest": digest(new.root),
+        "options": {side: tree.options for side, tree in trees.items()},
+        **{side: tree.commit for side, tree in trees.items()},
+        "digest": digest(trees["here"].checkout.root),
     }
-    file = requested.record or (TRIAL if trial_on_cpu or requested.scenarios else RECORD)
+    file = requested.record or (TRIAL if on_cpu or requested.scenarios else RECORD)
     before = loaded(file)
-    record = before if {**before, **facts} == before else facts | {"sweeps": {}}
-    print(f"{facts['machine']}; {facts['versions']}\n{commits['new']} compared with {commits['old']}, {facts['part']}")
+    record = before if before == before | facts else facts | {"sweeps": {}}
+    print(
+        f"{facts['machine']}; {facts['versions']}\nhere: {facts['here']}; against: {facts['against']}; {facts['part']}"
+    )
+    limit = ["--limit", str(requested.scenarios)] if requested.scenarios else []
     for title, (methods, own, _) in SWEEPS.items():
         chosen = [name for name in methods if name in (requested.methods or methods)]
         name = title if chosen == methods else ",".join(chosen)
-        for _ in range(requested.runs if chosen else 0):
-            for side, tree in (("against", old), ("here", new)):
-                words = [*own, *shlex.split(options[tree.name]), "--device", requested.device]
-                words += ["--limit", str(requested.scenarios)] if requested.scenarios else []
-                cache = work / f"cache-{tree.name}-{commits[tree.name]}-{digest(tree.root)[:8]}-{name}".replace(" ", "-")
-                run = _swept(tree, chosen, words, cache, ON_CPU if trial_on_cpu else {})
-                _add(record, name, side, run)
-                file.parent.mkdir(exist_ok=True)
-                file.with_suffix(".part").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-                os.replace(file.with_suffix(".part"), file)
-                print(
-                    f"{name}, {commits[tree.name]}, {run['cache']} cache: {sum(run['planning_s'].values()):.1f} s planning, "
-                    f"{run['shell_s']:.1f} s from the shell, {sum(run['tracked'].values()):,} targets tracked",
-                    flush=True,
-                )
+        for side in [*trees] * (requested.runs if chosen else 0):
+            words = [*own, *limit, "--device", requested.device]
+            cache = work / f"cache-{trees[side].commit}-{name}-{digest(trees[side].checkout.root)[:8]}".replace(
+                " ", "-"
+            )
+            run = _swept(trees[side], chosen, words, cache, ON_CPU if on_cpu else {})
+            _add(record, name, side, run)
+            _write(record, file)
+            times = f"{sum(run['planning_s'].values()):.1f} s planning, {run['shell_s']:.1f} s from the shell"
+            print(
+                f"{name}, {side}, {run['cache']} cache: {times}, {sum(run['tracked'].values()):,} targets", flush=True
+            )
     for name, found in record["sweeps"].items():
-        print(f"{name}, ratios: {', '.join(f'{key} {ratio:.2f}' for key, ratio in found['ratios'].items())}")
+        ratios = "; ".join(f"{key} {ratio:.2f}" for key, ratio in found["ratios"].items())
+        print(f"{name}, here / against: {ratios}")
     print(f"recorded in {file}")
     return 0
 
 
-def _swept(tree: Checkout, methods: list[str], words: list[str], cache: Path, on: dict[str, str]) -> dict[str, Any]:
-    """Run the sweep by a tree's command, and return its figures; a cache is full if it was kept by a complete run."""
-    full = cache.with_name(f"{cache.name}.full")
-    if is_full := full.is_file():
-        pass
-    else:
+def _swept(tree: Tree, methods: list[str], words: list[str], cache: Path, on: dict[str, str]) -> dict[str, Any]:
+    """Run the sweep by a tree's command, and return its figures. A cache is full if a complete run has filled it."""
+    is_complete = cache.with_name(f"{cache.name}.complete")
+    state = "full" if is_complete.is_file() else "empty"
+    if state == "empty":
         shutil.rmtree(cache, ignore_errors=True)
-    listed = tree.htcp("methods", "--json", **ON_CPU)
-    names = {name: name if f'"{name}"' in listed else RENAMED.get(name, name) for name in methods}
+    names = {name: name if tree.has(name) else RENAMED.get(name, name) for name in methods}
     with tempfile.TemporaryDirectory() as out:
         command = "sweep", "sweeps/cross.yaml", "--methods", ",".join(names.values()), "--json", "--out", f"{out}/run"
+        more = *tree.checkout.sets, *words, *shlex.split(tree.options)
         began = time.perf_counter()
-        printed = tree.htcp(*command, *tree.sets, *words, HTCP_CACHE=str(cache), **on)
+        printed = tree.checkout.htcp(*command, *more, HTCP_CACHE=str(cache), **on)
         shell_s = time.perf_counter() - began
-    full.touch()
+    is_complete.touch()
     found = {name: json.loads(printed)["methods"][there] for name, there in names.items()}
     return {
-        "cache": "full" if is_full else "empty",
+        "cache": state,
         "shell_s": round(shell_s, 2),
         "compile_s": round(sum(each["compile_s"] for each in found.values()), 2),
         "planning_s": {name: round(each["run_s"], 2) for name, each in found.items()},
@@ -214,8 +228,16 @@ def _add(record: dict[str, Any], name: str, side: str, run: dict[str, Any]) -> N
     sweep["ratios"] = {key: round(here[key] / there[key], 3) for key in here if there.get(key)}
 
 
-def _trees(requested: argparse.Namespace, work: Path, part: dict[str, Any]) -> tuple[dict[str, str], list[Checkout]]:
-    """Return the commits of the other revision and of this tree, and their checkouts, compiled to bytecode.
+def _write(record: dict[str, Any], file: Path) -> None:
+    """Write a record, atomically."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    aside = file.with_suffix(".part")
+    aside.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    os.replace(aside, file)
+
+
+def _trees(requested: argparse.Namespace, work: Path, part: dict[str, Any]) -> dict[str, Tree]:
+    """Return the other revision and this tree, both with Python's bytecode files.
 
     Raises:
         InputError: For a revision or folder that does not exist.
@@ -226,16 +248,18 @@ def _trees(requested: argparse.Namespace, work: Path, part: dict[str, Any]) -> t
         revision = requested.against or _git("describe", "--tags", "--abbrev=0")
         old = _git("rev-parse", "--short", f"{revision}^{{commit}}") if revision else ""
         if not old:
-            missing = f"--against {revision}: no such revision" if revision else "no tag is in this repository"
-            raise InputError(f"{missing}; pass --against REVISION, or --trees COMMIT=OLD COMMIT=NEW without git")
+            reason = f"--against {revision}: no such revision" if revision else "no tag in this repository"
+            raise InputError(f"{reason}; pass --against REVISION or, without git, --trees COMMIT=OLD COMMIT=NEW")
         unpacked(old, work / f"tree-{old}")
-        pairs = [(old, work / f"tree-{old}"), (commit(ROOT), ROOT)]
-    trees = [Checkout(name, Path(folder).resolve(), part) for name, (_, folder) in zip(("old", "new"), pairs, strict=True)]
-    for tree in trees:
-        if not (tree.root / "sweeps/cross.yaml").is_file():
-            raise InputError(f"{tree.root}: no tree of this project; --trees takes COMMIT=OLD COMMIT=NEW")
-        tree.python("-m", "compileall", "-q", "htcp_jax")
-    return {tree.name: named for tree, (named, _) in zip(trees, pairs, strict=True)}, trees
+        pairs = [(old, work / f"tree-{old}"), (commit(ROOT, "htcp_jax", "sweeps", "configs"), ROOT)]
+    options = requested.options if requested.old_options is None else requested.old_options, requested.options
+    trees = {}
+    for side, (name, folder), words in zip(("against", "here"), pairs, options, strict=True):
+        if not (Path(folder) / "sweeps/cross.yaml").is_file():
+            raise InputError(f"{name}={folder}: no tree of this project; --trees takes COMMIT=OLD COMMIT=NEW")
+        trees[side] = Tree(name, Checkout(side, Path(folder).resolve(), part), words)
+        trees[side].checkout.python("-m", "compileall", "-q", "htcp_jax")
+    return trees
 
 
 def unpacked(revision: str, folder: Path) -> None:
@@ -268,7 +292,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N only")
     parser.add_argument("--runs", type=int, default=2, metavar="N", help="of each sweep in each tree")
     parser.add_argument("--device", default="gpu:1", metavar="gpu[:N]|cpu")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="section `workpiece` in place of the generated duct")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="section `workpiece` in place of the generated duct"
+    )
     parser.add_argument("--options", default=OPTIONS, metavar="WORDS", help=f"of htcp sweep; by default {OPTIONS}")
     parser.add_argument("--old-options", metavar="WORDS", help="of the other revision; by default the same")
     parser.add_argument("--work", type=Path, metavar="DIR", help="keep the other revision and the caches here")

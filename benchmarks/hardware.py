@@ -45,7 +45,8 @@ def driver() -> str:
     if shutil.which("nvidia-smi") is None:
         return "no NVIDIA driver"
     query = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
-    return f"NVIDIA driver {subprocess.run(query, capture_output=True, text=True).stdout.split()[0]}"
+    printed = subprocess.run(query, capture_output=True, text=True).stdout.split()
+    return f"NVIDIA driver {printed[0] if printed else 'unknown'}"
 
 
 if __name__ == "__main__":  # for a parent process that must not initialise the accelerators
