@@ -106,13 +106,10 @@ def rows(record: dict[str, Any]) -> list[str]:
     hardware = f"{record['device']}, {record['part']}, at {record['here']}"
     found = []
     for name, (*_, words) in SWEEPS.items():
-        if here := record["sweeps"].get(name, {}).get("here"):
-            (_, seconds), *shell = here["medians"].items()
-            targets = sum(here["runs"][-1]["tracked"].values())
-            times = "; ".join(
-                [f"{seconds:.1f} s for {targets:,} targets", *(f"{s:.0f} s {key}" for key, s in shell[-1:])]
-            )
-            found.append(f"{ROW}of 105 targets {words} | {times} | {hardware} |")
+        if medians := record["sweeps"].get(name, {}).get("here", {}).get("medians"):
+            (_, planning_s), (_, targets), *_, (shell, shell_s) = medians.items()  # with a full cache, if measured
+            figures = f"{planning_s:.1f} s for {targets:,.0f} targets; {shell_s:.0f} s {shell}"
+            found.append(f"{ROW}of 105 targets {words} | {figures} | {hardware} |")
     return found
 
 
@@ -135,10 +132,7 @@ class Tree(NamedTuple):
     commit: str
     checkout: Checkout
     options: str  # of htcp sweep
-
-    def has(self, method: str) -> bool:
-        """Return True if this revision has a method of a name."""
-        return f'"{method}"' in self.checkout.htcp("methods", "--json", **ON_CPU)
+    methods: str  # that it has, as JSON
 
 
 def measure(requested: argparse.Namespace, work: Path) -> int:
@@ -165,27 +159,24 @@ def measure(requested: argparse.Namespace, work: Path) -> int:
     file = requested.record or (TRIAL if on_cpu or requested.scenarios else RECORD)
     before = loaded(file)
     record = before if before == before | facts else facts | {"sweeps": {}}
-    print(
-        f"{facts['machine']}; {facts['versions']}\nhere: {facts['here']}; against: {facts['against']}; {facts['part']}"
-    )
+    print(f"{facts['machine']}; {facts['versions']}; {facts['part']}")
+    print(f"here: {facts['here']}; against: {facts['against']}", flush=True)
     limit = ["--limit", str(requested.scenarios)] if requested.scenarios else []
     for title, (methods, own, _) in SWEEPS.items():
         chosen = [name for name in methods if name in (requested.methods or methods)]
         name = title if chosen == methods else ",".join(chosen)
         for side in [*trees] * (requested.runs if chosen else 0):
             words = [*own, *limit, "--device", requested.device]
-            cache = work / f"cache-{trees[side].commit}-{name}-{digest(trees[side].checkout.root)[:8]}".replace(
-                " ", "-"
-            )
+            key = digest(trees[side].checkout.root)[:8]
+            cache = work / f"cache-{trees[side].commit}-{key}-{name}".replace(" ", "-")
             run = _swept(trees[side], chosen, words, cache, ON_CPU if on_cpu else {})
             _add(record, name, side, run)
             _write(record, file)
             times = f"{sum(run['planning_s'].values()):.1f} s planning, {run['shell_s']:.1f} s from the shell"
-            print(
-                f"{name}, {side}, {run['cache']} cache: {times}, {sum(run['tracked'].values()):,} targets", flush=True
-            )
+            targets = f"{sum(run['tracked'].values()):,} targets"
+            print(f"{name}, {side}, {run['cache']} cache: {times}, {targets}", flush=True)
     for name, found in record["sweeps"].items():
-        ratios = "; ".join(f"{key} {ratio:.2f}" for key, ratio in found["ratios"].items())
+        ratios = "; ".join(f"{key} {ratio:.4g}" for key, ratio in found["ratios"].items())
         print(f"{name}, here / against: {ratios}")
     print(f"recorded in {file}")
     return 0
@@ -197,7 +188,7 @@ def _swept(tree: Tree, methods: list[str], words: list[str], cache: Path, on: di
     state = "full" if is_complete.is_file() else "empty"
     if state == "empty":
         shutil.rmtree(cache, ignore_errors=True)
-    names = {name: name if tree.has(name) else RENAMED.get(name, name) for name in methods}
+    names = {name: name if f'"{name}"' in tree.methods else RENAMED.get(name, name) for name in methods}
     with tempfile.TemporaryDirectory() as out:
         command = "sweep", "sweeps/cross.yaml", "--methods", ",".join(names.values()), "--json", "--out", f"{out}/run"
         more = *tree.checkout.sets, *words, *shlex.split(tree.options)
@@ -220,12 +211,13 @@ def _add(record: dict[str, Any], name: str, side: str, run: dict[str, Any]) -> N
     sweep = record["sweeps"].setdefault(name, {"here": {"runs": []}, "against": {"runs": []}, "ratios": {}})
     runs = sweep[side]["runs"]
     runs.append(run)
-    times = {"planning": [sum(each["planning_s"].values()) for each in runs]}
+    figures = {"planning": [sum(each["planning_s"].values()) for each in runs]}
+    figures["targets"] = [sum(each["tracked"].values()) for each in runs]
     for cache in ("empty", "full"):
-        times[f"from the shell, {cache} cache"] = [each["shell_s"] for each in runs if each["cache"] == cache]
-    sweep[side]["medians"] = {key: round(median(seconds), 2) for key, seconds in times.items() if seconds}
+        figures[f"from the shell, {cache} cache"] = [each["shell_s"] for each in runs if each["cache"] == cache]
+    sweep[side]["medians"] = {key: round(median(values), 2) for key, values in figures.items() if values}
     here, there = (sweep[each].get("medians", {}) for each in ("here", "against"))
-    sweep["ratios"] = {key: round(here[key] / there[key], 3) for key in here if there.get(key)}
+    sweep["ratios"] = {key: round(here[key] / there[key], 4) for key in here if there.get(key)}
 
 
 def _write(record: dict[str, Any], file: Path) -> None:
@@ -255,10 +247,11 @@ def _trees(requested: argparse.Namespace, work: Path, part: dict[str, Any]) -> d
     options = requested.options if requested.old_options is None else requested.old_options, requested.options
     trees = {}
     for side, (name, folder), words in zip(("against", "here"), pairs, options, strict=True):
-        if not (Path(folder) / "sweeps/cross.yaml").is_file():
+        if not folder or not (Path(folder) / "sweeps/cross.yaml").is_file():
             raise InputError(f"{name}={folder}: no tree of this project; --trees takes COMMIT=OLD COMMIT=NEW")
-        trees[side] = Tree(name, Checkout(side, Path(folder).resolve(), part), words)
-        trees[side].checkout.python("-m", "compileall", "-q", "htcp_jax")
+        checkout = Checkout(side, Path(folder).resolve(), part)
+        checkout.python("-m", "compileall", "-q", "htcp_jax")
+        trees[side] = Tree(name, checkout, words, checkout.htcp("methods", "--json", **ON_CPU))
     return trees
 
 
@@ -292,9 +285,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N only")
     parser.add_argument("--runs", type=int, default=2, metavar="N", help="of each sweep in each tree")
     parser.add_argument("--device", default="gpu:1", metavar="gpu[:N]|cpu")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="section `workpiece` in place of the generated duct"
-    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="its section `workpiece`, not the generated duct")
     parser.add_argument("--options", default=OPTIONS, metavar="WORDS", help=f"of htcp sweep; by default {OPTIONS}")
     parser.add_argument("--old-options", metavar="WORDS", help="of the other revision; by default the same")
     parser.add_argument("--work", type=Path, metavar="DIR", help="keep the other revision and the caches here")

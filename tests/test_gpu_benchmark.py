@@ -36,6 +36,7 @@ def test_without_a_gpu_the_command_says_so(ran):
             ["--device", "cpu", "--against", "no-such"],
             "--against no-such: no such revision; pass --against REVISION or",
         ),
+        (["--device", "cpu", "--trees", "old", "b=."], "old=: no tree of this project; --trees takes COMMIT=OLD"),
         (["--device", "cpu", "--trees", "a=.", f"b={gpu.ROOT}/docs"], f"b={gpu.ROOT}/docs: no tree of this project"),
     ],
 )
