@@ -15,7 +15,8 @@ TEXT = --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutd
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock clean
+.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock \
+	release-check clean
 
 demo: $(VENV)/.installed  ## plan the default job
 	$(VENV)/bin/htcp plan
@@ -25,6 +26,7 @@ lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations,
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python tests/lint.py
 	$(VENV)/bin/python -m pytest $(TEXT)
+	@$(VENV)/bin/python -m benchmarks gpu --check || true
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
 	@echo "A first answer: 2.5 minutes on two cores the first time"
@@ -128,6 +130,10 @@ lock:  ## pin what a clean environment gets from pyproject.toml today
 	$(PYTHON) -m venv build/venv-lock
 	build/venv-lock/bin/python -m pip install --quiet --disable-pip-version-check '.[test,notebooks,docs]'
 	build/venv-lock/bin/python -m pip freeze --exclude htcp_jax > requirements.lock
+
+release-check: $(VENV)/.installed  ## refuse the tag TAG if it is not the version, or if GPU figures are of other planning code
+	@grep -qFx 'version = "$(TAG:v%=%)"' pyproject.toml || { echo "TAG=$(TAG) is not the version in pyproject.toml"; exit 1; }
+	@$(VENV)/bin/python -m benchmarks gpu --check
 
 clean:
 	rm -rf $(VENV) build

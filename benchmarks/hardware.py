@@ -3,6 +3,8 @@
 import json
 import os
 import platform
+import shutil
+import subprocess
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -21,7 +23,8 @@ def machine() -> dict[str, str | int]:
     devices = [device.device_kind for device in choose() if device.platform != "cpu"]
     cores = default_threads(jax.devices("cpu"), "clarabel")
     gpus = f", {len(devices)} x {devices[0]}" if devices else ""
-    return {"machine": f"{cores} of {os.cpu_count()} cores, {names[0]}{gpus}", "gpus": len(devices)}
+    what = f"{cores} of {os.cpu_count()} cores, {names[0]}{gpus}"
+    return {"machine": what, "gpus": len(devices), "kind": devices[0] if devices else "cpu"}
 
 
 def line() -> str:
@@ -37,6 +40,15 @@ def version(package: str) -> str:
         return f"no {package}"
 
 
+def driver() -> str:
+    """Return the version of the NVIDIA driver, or a note that there is none."""
+    if shutil.which("nvidia-smi") is None:
+        return "no NVIDIA driver"
+    query = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    printed = subprocess.run(query, capture_output=True, text=True).stdout.split()
+    return f"NVIDIA driver {printed[0] if printed else 'unknown'}"
+
+
 if __name__ == "__main__":  # for a parent process that must not initialise the accelerators
-    versions = f"Python {platform.python_version()}, {', '.join(map(version, PACKAGES))}"
+    versions = f"Python {platform.python_version()}, {', '.join(map(version, PACKAGES))}, {driver()}"
     print(json.dumps({**machine(), "versions": versions}))

@@ -4,14 +4,14 @@
 
 Every run of a case is a separate process that imports the package and the benchmarks of one tree, in this Python's
 environment. With --against a case runs alternately here and there, N times each: "ratio" is the ratio of the medians,
-"of pairs" the smallest and the largest ratio of a pair. Cases, on the CPU unless they name GPUs:
+"of pairs" the smallest and the largest ratio of a pair. Cases, all on the CPU (for a GPU: python -m benchmarks gpu):
 
 CASES
 
 A row of a table or sweep has a method's time without compilation [s], and its number of tracked targets. It includes
 proofs of motions in trees that have them; "engines alone" excludes these and the checks of joint paths, for comparison
-with a tree without them. All cases run unless --only names some: those on GPUs if there are any, peers, which run only
-here, if their extra is installed. --quick plans few scenarios by two methods, to test that all cases run.
+with a tree without them. All cases run unless --only names some; peers, which run only here, if their extra is
+installed. --quick plans few scenarios by two methods, to test that all cases run.
 
 --config FILE: the section `workpiece` of a job file in place of the generated duct; --against-config FILE if the other
 checkout has other keys. --record writes the figures into figures.yaml next to this file: all of them, or none if a case
@@ -57,13 +57,9 @@ def main() -> int:
 
 
 def measure(requested: argparse.Namespace, here: Checkout, there: Checkout | None) -> int:
-    """Run all cases one after the other, and print a part of the table for each.
-
-    Raises:
-        InputError: As `cases_to_run`.
-    """
+    """Run all cases one after the other, and print a part of the table for each."""
     facts = json.loads(here.python("-m", "benchmarks.hardware"))
-    names, job, machine = cases_to_run(requested, facts["gpus"]), job_of(here.part, requested), facts["machine"]
+    names, job, machine = cases_to_run(requested), job_of(here.part, requested), facts["machine"]
     known, now = committed(requested.figures), commit(ROOT)
     print(f"{machine}; {facts['versions']}\nhere: {now}")
     if there:
@@ -105,16 +101,21 @@ def part_of(file: Path | None) -> dict[str, Any]:
 
 def job_of(part: dict[str, Any], requested: argparse.Namespace) -> str:
     """Describe the job uniquely, files by their contents."""
+    words = [name_of(part)]
+    words += ["--quick"] * requested.quick + ["--warm"] * requested.warm
+    words += [f"--methods {requested.methods}"] if requested.methods else []
+    return ", ".join(words + requested.changes)
+
+
+def name_of(part: dict[str, Any]) -> str:
+    """Name a workpiece uniquely, files by their contents."""
+    if not part:
+        return "generated duct"
     reported = [
         f"{key}={value}".encode() if key not in FILES else _contents(value) for key, value in sorted(part.items())
     ]
-    words = ["generated duct"]
-    if part:
-        digest = hashlib.sha256(b"\n".join(reported)).hexdigest()
-        words = [f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"]
-    words += ["--quick"] * requested.quick + ["--warm"] * requested.warm
-    words += [f"--{key} {value}" for key in ("methods", "device") if (value := getattr(requested, key))]
-    return ", ".join(words + requested.changes)
+    digest = hashlib.sha256(b"\n".join(reported)).hexdigest()
+    return f"{Path(part.get('cloud', 'duct')).name} {digest[:8]}"
 
 
 def _contents(value: str) -> bytes:
@@ -122,15 +123,15 @@ def _contents(value: str) -> bytes:
     return Path(value).read_bytes() if Path(value).is_file() else value.encode()
 
 
-def commit(root: Path) -> str:
-    """Commit of a checkout, with a note if its files differ from it."""
+def commit(root: Path, *files: str) -> str:
+    """Commit of a checkout, with a note if its files, or those named, differ from it."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", "-C", root, *words], capture_output=True, text=True).stdout.strip()
 
     if shutil.which("git") is None:
         return "no commit"
-    changed = git("status", "--porcelain", "--", ".", *OF_NO_FIGURE)
+    changed = git("status", "--porcelain", "--", *(files or (".", *OF_NO_FIGURE)))
     return (git("rev-parse", "--short", "HEAD") or "no commit") + (" and changes" if changed else "")
 
 
@@ -142,7 +143,7 @@ def _alternately(name: str, here: Checkout, there: Checkout | None, requested, n
     """
     case, how, found = (
         CASES[name].run,
-        Requested(requested.quick, requested.methods, requested.device, requested.warm),
+        Requested(requested.quick, requested.methods, requested.warm),
         Measured([], []),
     )
     for _ in range(requested.pairs or (3 if there else 1)):
@@ -180,7 +181,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--peers", action="store_true", help="the peers' case, too, with those that are installed")
     parser.add_argument("--methods", metavar="A,B", help="of the tables and the cross sweep")
     parser.add_argument("--warm", action="store_true", help="time each method's second run: its first one also traces")
-    parser.add_argument("--device", metavar="gpu[:N]", help="of the cases on GPUs")
     parser.add_argument("--config", type=Path, metavar="FILE")
     parser.add_argument("--against-config", type=Path, metavar="FILE")
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE", help="in every job")
@@ -213,20 +213,13 @@ def _other(requested: argparse.Namespace) -> Checkout | None:
     return Checkout("there", requested.against.resolve(), part, tuple(requested.changes))
 
 
-def cases_to_run(requested: argparse.Namespace, gpus: int) -> list[str]:
-    """Return the cases to run, and print the reason if peers are excluded.
-
-    Raises:
-        InputError: For a case on GPUs if there are none.
-    """
+def cases_to_run(requested: argparse.Namespace) -> list[str]:
+    """Return the cases to run, and print the reason if peers are excluded."""
     names = list(requested.only or CASES)
-    on_gpus = {name for name in names if CASES[name].gpus and not gpus}
-    if requested.only and on_gpus:
-        raise InputError(f"--only {min(on_gpus)}: JAX finds no GPU here")
     if requested.peers and "peers" not in names:
         names.append("peers")
     lost = lacking() if "peers" in names else []
     if lost:
         print(f"peers lack {', '.join(lost)}: pip install -e '.[peers]'", file=sys.stderr)
-    left_out = {"peers"} if lost and not requested.peers and not requested.only else set()
-    return [name for name in names if name not in on_gpus | left_out]
+    left_out = "peers" if lost and not requested.peers and not requested.only else ""
+    return [name for name in names if name != left_out]

@@ -40,7 +40,6 @@ class Requested(NamedTuple):
 
     quick: bool = False
     methods: str | None = None  # of tables and the cross sweep
-    device: str | None = None  # of the cross sweep on GPUs
     warm: bool = False  # the second run of every method in its process, in place of the first one
 
 
@@ -125,24 +124,23 @@ def of_text(name: str, text: str) -> list[Figure]:
     ]
 
 
-def tables(*more: str, methods: str = SIX, quick: int = EVERY, gpus: bool = False) -> Run:
+def tables(*more: str, methods: str = SIX, quick: int = EVERY) -> Run:
     """Case of `benchmarks.tables`: time and tracked targets by method, and the total time."""
 
     def run(checkout: Checkout, requested: Requested) -> list[Figure]:
         chosen = requested.methods or (FEW if requested.quick else methods)
         how_often = [] if requested.warm else ["--once"]
         every = ["--every", str(quick)] if requested.quick else []
-        device = ["--device", requested.device] if gpus and requested.device else []
-        words = "--methods", chosen, *how_often, *every, *device, *more, *checkout.sets
-        found = checkout.benchmark("tables", *words, **({} if gpus else ON_CPU))
+        words = "--methods", chosen, *how_often, *every, *more, *checkout.sets
+        found = checkout.benchmark("tables", *words, **ON_CPU)
         return [*found, Figure("in all", sum(one.value for one in found), "s")]
 
     return run
 
 
-def cross(*more: str, methods: str = SIX, gpus: bool = False) -> Run:
+def cross(*more: str) -> Run:
     """Case of the cross sweep."""
-    return tables("--sweeps", "cross", *more, methods=methods, quick=EVERY_CROSS, gpus=gpus)
+    return tables("--sweeps", "cross", *more, methods=FEW, quick=EVERY_CROSS)
 
 
 def clearance(checkout: Checkout, requested: Requested) -> list[Figure]:
@@ -200,7 +198,6 @@ class Case(NamedTuple):
 
     about: str
     run: Run
-    gpus: bool = False  # True if it needs GPUs
 
 
 CASES = {
@@ -208,12 +205,8 @@ CASES = {
     "tables-engines": Case("both tables, Clarabel, engines alone", tables("--no-paths")),
     "tables-device": Case("both tables, qp: device, with joint paths and proofs", tables(*DEVICE_QP)),
     "tables-device-engines": Case("both tables, qp: device, engines alone", tables(*DEVICE_QP, "--no-paths")),
-    "cross": Case("125 starts x 49 poses, Clarabel, with joint paths and proofs", cross(methods=FEW)),
-    "cross-engines": Case("125 starts x 49 poses, Clarabel, engines alone", cross("--no-paths", methods=FEW)),
-    "cross-gpu": Case("125 starts x 49 poses, GPUs, with joint paths and proofs", cross(*DEVICE_QP, gpus=True), True),
-    "cross-gpu-engines": Case(
-        "125 starts x 49 poses, GPUs, engines alone", cross(*DEVICE_QP, "--no-paths", gpus=True), True
-    ),
+    "cross": Case("125 starts x 49 poses, Clarabel, with joint paths and proofs", cross()),
+    "cross-engines": Case("125 starts x 49 poses, Clarabel, engines alone", cross("--no-paths")),
     "clearance": Case("one exact query, one core", clearance),
     "plan": Case("a first htcp plan, nothing compiled before", first_plan),
     "programs": Case("CPU time of a program, and of its configurations", programs),

@@ -15,7 +15,6 @@ from benchmarks import figures, speed, speed_cases
 from benchmarks.clearance import row
 from benchmarks.figures import Entry, Figure
 from benchmarks.speed_table import Measured, counts_differ, head, rows
-from htcp_jax.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 
@@ -117,7 +116,7 @@ def test_a_job_is_reported_by_what_its_files_hold_and_not_by_where_they_are(tmp_
         file.write_text(f"workpiece: {{cloud: cloud.xyz, rotation_y_rad: {angle}}}\n")
         part = speed.part_of(file)
         assert part["cloud"] == str(file.parent / "cloud.xyz")
-        requested = argparse.Namespace(quick=True, warm=False, methods=None, device=None, changes=["margin_m=0"])
+        requested = argparse.Namespace(quick=True, warm=False, methods=None, changes=["margin_m=0"])
         return speed.job_of(part, requested)
 
     first = job("a", "0 0 0", 0.4)
@@ -140,15 +139,6 @@ def test_a_job_is_reported_by_what_its_files_hold_and_not_by_where_they_are(tmp_
 def test_bad_input_is_one_line_and_exit_code_2(ran, words, message):
     code, lines = ran(*words)
     assert code == 2 and len(lines) == 1 and lines[0].startswith(message)
-
-
-def test_cases_on_gpus_need_some():
-    def cases(gpus, *only):
-        return speed.cases_to_run(argparse.Namespace(only=only, peers=False), gpus)
-
-    assert {*cases(1)} - {*cases(0)} == {"cross-gpu", "cross-gpu-engines"} and cases(1, "cross-gpu") == ["cross-gpu"]
-    with pytest.raises(InputError, match=r"^--only cross-gpu: JAX finds no GPU here$"):
-        cases(0, "clearance", "cross-gpu")
 
 
 def test_what_fails_in_a_checkout_is_reported_by_its_last_line(tmp_path):
