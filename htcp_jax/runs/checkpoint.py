@@ -169,7 +169,7 @@ def _begin(folder: Path, search: dict[str, Any]) -> None:
     requested = json.loads(json.dumps({"search": search, "planned_by": planned_by()}))
     if not file.exists():
         if any(folder.glob(RESULTS)):
-            raise InputError(f"{folder} contains results without {SEARCH}; delete it, or choose another --out")
+            raise InputError(f"{folder} contains results without {SEARCH}; delete the folder, or choose another --out")
         output_files.write_json(file, requested)
         return
     try:
@@ -181,7 +181,7 @@ def _begin(folder: Path, search: dict[str, Any]) -> None:
     if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         words = f"{folder} contains another search, which is not finished: {differing[0]}{more}"
-        raise InputError(f"{words}; delete it, or choose another --out")
+        raise InputError(f"{words}; delete the folder, or choose another --out")
     if software:
         warnings.warn(f"{folder} is of other software, and its results are kept: {software[0]}", Note, stacklevel=4)
 
