@@ -20,8 +20,8 @@ from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.tool_cells import excluded
-from htcp_jax.reachability import Reach, initial_reachability, reachable_prefixes
-from htcp_jax.reachability.reachability import _upper_bounds
+from htcp_jax.reachability import Reach, reachable_prefixes
+from htcp_jax.reachability.reachability import _upper_bounds, initial_reachability
 from htcp_jax.settings import Settings
 
 FAR = (5.0, 0.0, 0.5)

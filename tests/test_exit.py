@@ -1,6 +1,5 @@
 """Exit of commands: prompt exit codes, one line after Ctrl-C or SIGTERM in any phase, and no unfinished files."""
 
-import json
 import os
 import shutil
 import signal
@@ -13,17 +12,14 @@ from pathlib import Path
 import pytest
 import sweep_process
 import toy
-from rich.progress import Progress
 from test_place import TOY_FILE
 
 from htcp_jax.cli import main, output
 from htcp_jax.cli.main import COMMANDS
 from htcp_jax.cli.plan import _Search
 from htcp_jax.cli.sweep import _sweep_bars
-from htcp_jax.errors import Note
 from htcp_jax.planning import batch
 from htcp_jax.runs import open_run
-from htcp_jax.runs.reachability_file import read_reachability
 from htcp_jax.runs.sweep import SweepProgress, sweep
 from htcp_jax.spec import GP50
 from htcp_jax.system.unfinished import PART, temporary_folder
@@ -189,28 +185,6 @@ def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here
     go_on = "htcp: stopped; 1 of 2 shards are finished in run; run the same command to resume"
     assert (process.returncode, sweep_process.without_progress(errors)) == (143, [go_on])
     assert sweep_process.rows(here / "run") == before and open_run(here / "run").unfinished() == {"cspace-sample": 6}
-
-
-def test_a_stopped_reachability_keeps_what_it_found_marked_as_incomplete(here, monkeypatch, capsys):
-    update = Progress.update
-
-    def interrupt(bars, task, **how) -> None:
-        update(bars, task, **how)
-        if how["completed"] == 3:
-            raise KeyboardInterrupt
-
-    monkeypatch.chdir(here)
-    words = ["reachability", "grid.yaml", "--out", "run"]
-    with monkeypatch.context() as patch:
-        patch.setattr(Progress, "update", interrupt)  # of rich: only its bars say when three are finished
-        assert main(words) == 130
-    assert capsys.readouterr().err == "htcp: stopped; run/reachability.json contains the targets searched so far\n"
-    record = json.loads(Path("run/reachability.json").read_text())
-    assert record["complete"] is False and 3 in record["prefix"]
-    with pytest.warns(Note, match="is incomplete and not used"):
-        assert read_reachability(open_run("run")) is None
-    assert main(words) == 0
-    assert read_reachability(open_run("run")).prefix.min() > 3
 
 
 def test_a_process_ends_with_its_code_while_a_thread_is_at_work():

@@ -6,10 +6,12 @@ more; some slow searches move a plate behind a path of two points towards the GP
 
 import json
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,10 +24,11 @@ from sweep_process import JOB, environment, make_sweep
 
 import htcp_jax
 from htcp_jax.cli import main
-from htcp_jax.errors import Interrupted
+from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.placement import PlacementResult, place
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
+from htcp_jax.placement.placement_result import locked_search
 from htcp_jax.placement.scores import MountingPlanner, MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run
@@ -181,17 +184,65 @@ def test_the_default_screen_finds_motions_in_a_box_whether_the_start_is_given_or
 
 def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(here):
     """Ranking of an interrupted search: written, and marked as unfinished (regression)."""
-
-    def stop(now) -> None:
-        if now.stage == "tolerance":
-            raise KeyboardInterrupt
-
     with pytest.raises(Interrupted):
-        place_toy(here, "out", changes={"best": 1}, progress=stop)
+        place_toy(here, "out", changes={"best": 1}, progress=stop_at("tolerance"))
     reported = json.loads((here / "out" / "ranked.json").read_text())
     assert reported["ranked"] and reported["finished"] is False and reported["ranked"][0]["success_rate"] is None
     assert read_search(here / "out").is_final is False
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
+
+
+def stop_at(stage: str) -> Callable[[PlaceProgress], None]:
+    """Function for the progress of a search that presses Ctrl-C at the beginning of a stage."""
+
+    def stop(now: PlaceProgress) -> None:
+        if now.stage == stage:
+            raise KeyboardInterrupt
+
+    return stop
+
+
+def test_finished_plans_are_counted_and_not_planned_again(found, here):
+    with pytest.raises(Interrupted, match="run the same command to resume") as stopped:
+        place_toy(here, "out", progress=stop_at("perturb"))
+    shards = {file: (file.stat().st_ino, file.read_bytes()) for file in (here / "out").rglob("[0-9]*/*/*.parquet")}
+    shards |= {file: (file.stat().st_ino, file.read_bytes()) for file in (here / "out").rglob("confirmed/*/*.parquet")}
+    rows = sum(pq.read_metadata(file).num_rows for file in shards if file.parent.name == "scenarios")
+    assert f"stopped; {rows} finished plans are in " in str(stopped.value)
+    heard: list[PlaceProgress] = []
+    place_toy(here, "out", progress=heard.append)
+    assert {now.kept for now in heard} == {rows}
+    assert all((file.stat().st_ino, file.read_bytes()) == before for file, before in shards.items())
+    assert results(here / "out") == results(found.folder)
+
+
+@pytest.mark.parametrize(
+    ("file", "was", "now", "says"),
+    [
+        ("job.yaml", "samples: 8", "samples: 9", "settings.samples was 8, now 9"),
+        ("arm.xml", 'size="0.03"', 'size="0.031"', "robot.model was arm.xml, SHA-256"),
+        ("path.csv", "4.1", "4.2", "workpiece.path was path.csv, SHA-256"),
+    ],
+)
+def test_a_search_with_another_job_or_another_file_is_not_continued(here, file, was, now, says):
+    with pytest.raises(Interrupted):
+        place_toy(here, "out", progress=stop_at("confirm"))
+    before, text = results_so_far(here / "out"), (here / file).read_text()
+    assert was in text
+    (here / file).write_text(text.replace(was, now, 1))
+    with pytest.raises(InputError, match=re.escape(says)):
+        place_toy(here, "out")
+    assert results_so_far(here / "out") == before
+
+
+def results_so_far(folder: Path) -> dict[Path, bytes]:
+    return {file: file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.name != ".lock"}
+
+
+def test_a_second_search_in_the_folder_is_refused_while_the_first_runs(here):
+    search = load_search(here / "place.yaml", overrides=TOY_BEAM)
+    with locked_search(here / "out", search), pytest.raises(InputError, match="out is in use by another command"):
+        place_toy(here, "out")
 
 
 def test_progress_counts_the_plans_of_each_stage_that_was_announced(found, heard):
@@ -306,9 +357,8 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate()
     assert process.returncode == 130 and output.startswith("up to ") and output.count("\n") == 1  # as at the start
-    assert errors.strip().splitlines()[-1] == (
-        "htcp: stopped; finished plans are in out; run the same command to resume"
-    )
+    last = errors.strip().splitlines()[-1]
+    assert re.fullmatch(r"htcp: stopped; \d+ finished plans are in out; run the same command to resume", last)
     place_toy(here, "out")
     assert results(here / "out") == results(found.folder)
 

@@ -111,7 +111,7 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 
         def show(now: PlaceProgress) -> None:
             if not (announced or tasks):
-                print(_stage_maxima(now.most), flush=True)
+                print(_stage_maxima(now.most) + (f"; {now.kept:,} are kept" if now.kept else ""), flush=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
                     bars.update(task.id, total=task.completed)  # shows the earlier stage as finished

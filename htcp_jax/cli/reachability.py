@@ -1,6 +1,5 @@
 """`htcp reachability`: bounds on the number of reachable targets of every scenario, compared with a run's plans."""
 
-import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -22,12 +21,12 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.device import tables
-from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.errors import InputError
 from htcp_jax.jobs import Batch, load_sweep_or_job, seeded
 from htcp_jax.model import Scenario
-from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability, SearchStopped
+from htcp_jax.reachability import PROOF_CELLS, RESOLUTION_RAD, Reachability
 from htcp_jax.report import reach_study
-from htcp_jax.runs import Run, manifest, open_run, reachability_file
+from htcp_jax.runs import Run, checkpoint, manifest, open_run, reachability_file
 from htcp_jax.system import output_files
 
 File = Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Sweep file, job file, or example.")]
@@ -68,10 +67,10 @@ def reachability(
 
     Writes reachability.json into the output folder, for htcp report. If the folder contains a run, the table lists the
     scenarios in which a method tracked more targets than the lower bound. With --each, also writes reach.csv, a row for
-    each target, and reach.png, a picture of the part with its targets. After a signal, the bounds so far are saved and
-    marked as incomplete, unless reachability.json exists; results of --each are not saved.
+    each target, and reach.png, a picture of the part with its targets. Repeat the command to resume an interrupted
+    search; you may add --each and change --limit.
 
-    Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
+    Exit codes: 0, 2 on bad input, 130 or 143 after a signal; finished work is kept.
 
     \b
     Examples:
@@ -83,29 +82,16 @@ def reachability(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     batch = (spec := load_sweep_or_job(file, config, seeded(overrides or (), seed))).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
-
-    def record_of(found: Reachability) -> dict:
-        own = reach_study.record_of(batch, found, resolution, proof_cells, spec.config.settings.seed)
-        return own | {"beaten_by": {} if run is None else _beaten_scenarios(run, batch, found)}
-
-    try:
-        with output_files.written_whole(out) as folder:
-            found = _search(batch, resolution, proof_cells, each)
-            record = record_of(found)
-            study = reach_study.ReachStudy(spec.name, batch, found, resolution, proof_cells, record["seed"])
-            if each:
-                study.write(folder)
-            output_files.write_json(folder / reachability_file.REACHABILITY, record)
-    except SearchStopped as stop:
-        if not stop.found.prefix.any() or (out / reachability_file.REACHABILITY).exists():
-            raise
-        with output_files.written_whole(out) as folder:
-            output_files.write_json(
-                folder / reachability_file.REACHABILITY, {"complete": False, **record_of(stop.found)}
-            )
-        raise Interrupted(
-            f"stopped; {out / reachability_file.REACHABILITY} contains the targets searched so far", signal.SIGINT
-        ) from None
+    search = checkpoint.search_identity(spec, batch, resolution_rad=resolution, proof_cells=proof_cells)
+    with checkpoint.checkpoint(out, search, batch.scenarios.count) as kept, output_files.written_whole(out) as folder:
+        found = _search(batch, resolution, proof_cells, each, kept)
+        seed = spec.config.settings.seed
+        record = reach_study.record_of(batch, found, resolution, proof_cells, seed)
+        record |= {"beaten_by": {} if run is None else _beaten_scenarios(run, batch, found)}
+        study = reach_study.ReachStudy(spec.name, batch, found, resolution, proof_cells, seed)
+        if each:
+            study.write(folder)
+        output_files.write_json(folder / reachability_file.REACHABILITY, record)
     if as_json:
         print_json(record)
     else:
@@ -116,19 +102,22 @@ def reachability(
     return 0
 
 
-def _search(batch: Batch, resolution_rad: float, proof_cells: int, each: bool) -> Reachability:
+def _search(
+    batch: Batch, resolution_rad: float, proof_cells: int, each: bool, kept: checkpoint.Checkpoint
+) -> Reachability:
     """Return the reachability bounds of a batch. Show one progress bar for each of its `cells`, the distinct inputs."""
+    what = f"targets ({kept.summary} kept)" if kept.summary else "targets"
     with progress_bars() as bars:
         started: dict[int, TaskID] = {}
 
         def progress(number: int, done: int, count: int) -> None:
             if number not in started:
-                started[number] = bars.add_task("targets", total=count)
-            text = "targets; proofs of which others are unreachable" if done == count else "targets"
+                started[number] = bars.add_task(what, total=count)
+            text = f"{what}; proofs of which others are unreachable" if done == count else what
             bars.update(started[number], description=text, completed=done, total=count)
 
         progress(0, 0, batch.scenarios.targets.shape[1])
-        return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress)
+        return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress, kept)
 
 
 def _beaten_scenarios(run: Run, batch: Batch, found: Reachability) -> dict[str, list[int]]:

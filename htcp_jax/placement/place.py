@@ -27,7 +27,7 @@ from htcp_jax.motion import Plans, start_contact
 from htcp_jax.placement.clock import Clock
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
-from htcp_jax.placement.placement_result import PlacementResult, locked_search, write_result
+from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, write_result
 from htcp_jax.placement.scores import (
     MARGIN,
     RAISED,
@@ -66,6 +66,7 @@ class PlaceProgress(NamedTuple):
     best: float  # first objective's best value so far; -inf: none
     sweep: sweeps.SweepProgress | None = None  # progress of the current sweep
     most: dict[str, int | None] | None = None  # see `most_plans`
+    kept: int = 0  # number of plans that were in the folder at the beginning
 
 
 def place(
@@ -105,7 +106,7 @@ def place(
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
-        report = _ProgressReporter(search, progress)
+        report = _ProgressReporter(search, progress, kept_plans(folder))
         sweep = partial(
             sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
         )
@@ -153,8 +154,8 @@ def most_plans(search: Search) -> dict[str, int | None]:
 class _ProgressReporter:
     """Counter of the plans and complete mountings of the current stage, which reports them as progress."""
 
-    def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None):
-        self._stage, self._progress, self._most = "search", progress, most_plans(search)
+    def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None, kept: int):
+        self._stage, self._progress, self._most, self._kept = "search", progress, most_plans(search), kept
         self._scenarios, self._complete, self._best = 0, 0, -np.inf
 
     def begin(self, stage: str) -> None:
@@ -176,7 +177,7 @@ class _ProgressReporter:
         if self._progress is not None:
             done = self._scenarios + min(now.scenarios_done, now.scenarios)
             counts = done, self._most[self._stage], self._complete, self._best
-            self._progress(PlaceProgress(self._stage, *counts, now, self._most))
+            self._progress(PlaceProgress(self._stage, *counts, now, self._most, self._kept))
 
 
 def _rounds(planner: MountingPlanner, folder: Path, report: _ProgressReporter) -> Iterator[MountingScores]:

@@ -26,8 +26,8 @@ from htcp_jax.jobs import load_config, with_weights
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.runs import columns as columns_of_files
+from htcp_jax.runs import manifest, open_run, provenance
 from htcp_jax.runs import open as plan_sets
-from htcp_jax.runs import open_run, provenance
 from htcp_jax.spec import PlanConfig, examples
 from htcp_jax.system import files, lock, output_files, stop_message
 
@@ -136,16 +136,18 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
 
 def _stop_search(folder: Path, is_new: bool) -> str:
     """Remove a new search without finished plans; return the message on how to resume."""
-    if _holds_any(folder):
-        return f"stopped; finished plans are in {folder}; run the same command to resume"
+    if any(folder.glob("rounds/*/*/*.parquet")):
+        return f"stopped; {kept_plans(folder):,} finished plans are in {folder}; run the same command to resume"
     (folder / plan_sets.SEARCH).unlink(missing_ok=True)
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)
     return f"stopped; {NOTHING}"
 
 
-def _holds_any(folder: Path) -> bool:
-    return any(folder.glob("rounds/*/*/*.parquet"))
+def kept_plans(folder: Path) -> int:
+    """Return the number of finished plans in a search's folder, without the copies in `ranked`."""
+    runs = [file.parent for file in folder.rglob(manifest.MANIFEST) if file.parent != folder / plan_sets.MOTIONS]
+    return sum(shard.last - shard.first + 1 for run in runs for shard in open_run(run).manifest.shards)
 
 
 def _begin_search(folder: Path, search: Search) -> None:

@@ -2,8 +2,8 @@
 
 `reachable_prefixes` searches for configurations at each target, and proves targets unreachable by cells of tool
 orientations. It returns a `Reachability` with both bounds for each scenario. `RESOLUTION_RAD` is the default resolution
-of the search, `PROOF_CELLS` the default limit of a proof. `SearchStopped` is raised if the user interrupts the search;
-`initial_reachability` returns the result before any search.
+of the search, `PROOF_CELLS` the default limit of a proof. A `Memo` gives a search the results of an earlier one that
+was interrupted.
 
 `obstruction` finds the colliding body at the target where a plan ended: an `Obstruction` names the arm's capsule and
 the obstacle that this capsule penetrates.

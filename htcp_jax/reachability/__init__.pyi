@@ -1,12 +1,11 @@
-from . import obstruction
+from . import memo, obstruction
 from .each_target import EachTarget, Reach
+from .memo import Memo
 from .obstruction import Obstruction
 from .reachability import (
     PROOF_CELLS,
     RESOLUTION_RAD,
     Reachability,
-    SearchStopped,
-    initial_reachability,
     reachable_prefixes,
 )
 
@@ -14,11 +13,11 @@ __all__ = [
     "PROOF_CELLS",
     "RESOLUTION_RAD",
     "EachTarget",
+    "Memo",
     "Obstruction",
     "Reach",
     "Reachability",
-    "SearchStopped",
-    "initial_reachability",
+    "memo",
     "obstruction",
     "reachable_prefixes",
 ]

@@ -10,6 +10,7 @@ bodies that the proof needs (`motion.tool_cells`): none (out of reach), the tool
 arm.
 """
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import partial
@@ -22,12 +23,12 @@ from jaxtyping import Float, Int
 from htcp_jax.model import Scenario
 from htcp_jax.motion import lane_inputs, tool_cells
 from htcp_jax.reachability.configuration_search import CARRIED, ConfigurationSearch
+from htcp_jax.reachability.memo import Memo, Pairs, compute_all
 from htcp_jax.status import Exclusion
 
 TOGETHER, SEARCHED = 64, 4  # numbers of targets per call, for carrying over and for searches
 COARSER = 4  # resolution of the first search, as a multiple of the requested resolution
 
-Pairs = Int[np.ndarray, "n 2"]  # rows of scenarios, and indices of targets
 Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # map over chunks, by threads
 
 
@@ -90,6 +91,7 @@ class TargetJudge:
         seed: Seed of the random moves.
         mapped: Function that maps a function over chunks of targets.
         progress: Function that is called with the numbers of decided targets and of all targets.
+        memo: Results of an earlier, interrupted search.
     """
 
     def __init__(
@@ -100,9 +102,10 @@ class TargetJudge:
         seed: int,
         mapped: Mapped,
         progress: Callable[[int, int], None],
+        memo: Memo = compute_all,
     ):
         self._search, self._scenarios, self._seed = search, scenarios, seed
-        self._mapped, self._progress = mapped, progress
+        self._mapped, self._progress, self._memo = mapped, progress, memo
         index = np.arange(scenarios.targets.shape[1])
         on_path = (index >= scenarios.on_path[:, None]) & (index < scenarios.count[:, None])
         self.x, self.clearance_m = np.where(on_path[..., None], x, np.nan), np.full(on_path.shape, -np.inf)
@@ -117,45 +120,47 @@ class TargetJudge:
             resolution_rad: Resolution of the tool's orientations.
             proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
         """
-        self._carry_over()
+        self._carry_over("carried")
         if self._search.checker.task.holds_tcp:
-            self._search_open(COARSER * resolution_rad)
-            self._carry_over()
+            self._search_open("coarse", COARSER * resolution_rad)
+            self._carry_over("carried after coarse")
         if proof_cells:
-            self._each(partial(self._excluded, proof_cells), self._open(), TOGETHER // 4)
-        self._search_open(resolution_rad)
-        self._carry_over()
+            self._each("proofs", partial(self._excluded, proof_cells), self._open(), TOGETHER // 4)
+        self._search_open("fine", resolution_rad)
+        self._carry_over("carried after fine")
         is_open = self.reach == Reach.UNDECIDED
         known_at = (self.reach == Reach.REACHABLE) | (is_open & (self.clearance_m > -np.inf))
         clearance_m, x = np.where(is_open, self.clearance_m, np.nan), np.where(known_at[..., None], self.x, np.nan)
         return EachTarget(self.reach, clearance_m, x)
 
-    def _carry_over(self) -> None:
+    def _carry_over(self, step: str) -> None:
         """Carry configurations over from the nearest reachable targets until no further target is reached."""
         tried: dict[tuple[int, int], tuple[int, ...]] = {}
-        while True:
+        for number in itertools.count():
             near = {pair: own for pair, own in self._nearest().items() if tried.get(pair) != own}
             if not near:
                 return
             tried |= near
             before = (self.reach == Reach.REACHABLE).sum()
-            self._each(partial(self._carried, near), np.array(list(near)), TOGETHER)
+            self._each(f"{step}, {number}", partial(self._carried, near), np.array(list(near)), TOGETHER)
             if (self.reach == Reach.REACHABLE).sum() == before:
                 return
 
-    def _search_open(self, resolution_rad: float) -> None:
+    def _search_open(self, step: str, resolution_rad: float) -> None:
         """Search the undecided targets at a resolution of the tool's orientations."""
-        self._each(partial(self._searched, resolution_rad), self._open(), SEARCHED)
+        self._each(step, partial(self._searched, resolution_rad), self._open(), SEARCHED)
 
     def _open(self) -> Pairs:
         return np.argwhere(self.reach == Reach.UNDECIDED)
 
-    def _each(self, function: Callable[[Pairs], tuple], pairs: Pairs, together: int) -> None:
+    def _each(self, step: str, function: Callable[[Pairs], tuple], pairs: Pairs, together: int) -> None:
         """Store the results of a function at pairs: the reach and, if clearer, a configuration and its clearance."""
         chunks = [pairs[first : first + together] for first in range(0, len(pairs), together)]
 
         def work(own: Pairs) -> None:
-            reach, x, clearance_m = function(own)
+            compute = lambda which: np.column_stack(function(own[which]))  # noqa: E731
+            results = self._memo(f"each, {step}", own, 2 + self.x.shape[2], compute)
+            reach, clearance_m, x = results[:, 0], results[:, 1], results[:, 2:]
             at = tuple(own.T)
             better = (reach == Reach.REACHABLE) | (clearance_m > self.clearance_m[at])
             self.reach[at], self.x[at] = reach, np.where(better[:, None], x, self.x[at])
@@ -188,17 +193,17 @@ class TargetJudge:
     def _searched(self, resolution_rad: float, pairs: Pairs) -> tuple:
         inputs = self._inputs(pairs)
         here = self._search.search(inputs, resolution_rad).at
-        reach, x, _ = self._reached(pairs, self._search.searched(inputs, here))
+        reach, _, x = self._reached(pairs, self._search.searched(inputs, here))
         is_reached = reach == Reach.REACHABLE
-        return reach, np.where(is_reached[:, None], x, here.x[:, 0]), here.clearance[:, 0]
+        return reach, here.clearance[:, 0], np.where(is_reached[:, None], x, here.x[:, 0])
 
     def _reached(self, pairs: Pairs, clear: Sequence[Float[np.ndarray, "_ N"]]) -> tuple:
         x = np.stack([own[0] if len(own) else np.full(self.x.shape[2], np.nan) for own in clear])
         found = ~np.isnan(x).any(axis=1)
-        return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), x, np.where(found, np.inf, -np.inf)
+        return np.where(found, Reach.REACHABLE, Reach.UNDECIDED), np.where(found, np.inf, -np.inf), x
 
     def _excluded(self, cells: int, pairs: Pairs) -> tuple:
         executor, robot = self._search.checker.executor, self._search.robot
         found = tool_cells.exclusions(executor, robot, self._inputs(pairs), cells)
         reach = np.where(found == Exclusion.NONE, Reach.UNDECIDED, found)
-        return reach, np.full((len(pairs), self.x.shape[2]), np.nan), np.full(len(pairs), -np.inf)
+        return reach, np.full(len(pairs), -np.inf), np.full((len(pairs), self.x.shape[2]), np.nan)

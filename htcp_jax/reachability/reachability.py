@@ -24,8 +24,10 @@ from htcp_jax.clearance.obstacles import all_obstacles, make_tip_guard
 from htcp_jax.device import Executor, devices, tables
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, scenario
 from htcp_jax.motion import CollisionChecker, lane_inputs, tool_cells
-from htcp_jax.reachability.configuration_search import ConfigurationSearch
-from htcp_jax.reachability.each_target import EachTarget, TargetJudge
+from htcp_jax.reachability import memo as memos
+from htcp_jax.reachability.configuration_search import CARRIED, ConfigurationSearch
+from htcp_jax.reachability.each_target import SEARCHED, TOGETHER, EachTarget, TargetJudge
+from htcp_jax.reachability.memo import Memo, compute_all
 from htcp_jax.settings import Settings
 
 RESOLUTION_RAD = 0.11
@@ -47,14 +49,6 @@ class Reachability(NamedTuple):
     each: EachTarget | None = None  # results for every target by itself; None if not requested
 
 
-class SearchStopped(KeyboardInterrupt):
-    """Interruption of a search, raised in place of KeyboardInterrupt; `found` is the result so far."""
-
-    def __init__(self, found: Reachability):
-        super().__init__()
-        self.found = found
-
-
 def reachable_prefixes(
     robot: Robot,
     workpiece: Workpiece,
@@ -67,6 +61,7 @@ def reachable_prefixes(
     proof_cells: int = PROOF_CELLS,
     each: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    memo: Memo = compute_all,
 ) -> Reachability:
     """Return the reachability of stacked scenarios, computed by one thread per core.
 
@@ -83,9 +78,7 @@ def reachable_prefixes(
         each: True to also classify every target on the path by itself.
         progress: Function that is called with (target, targets) after each target; with `each`, it is also called with
             the numbers of decided targets and of all targets.
-
-    Raises:
-        SearchStopped: If Ctrl-C is pressed.
+        memo: Results of an earlier call with the same arguments that was interrupted.
     """
     settings = settings or Settings()
     scenarios = jax.tree.map(np.asarray, scenarios)
@@ -95,38 +88,34 @@ def reachable_prefixes(
     search = ConfigurationSearch(checker, robot, scenarios.tool_extension_m)
     cells = proof_cells if task.holds_tcp else 0
     threads = devices.default_threads([checker.executor.device], settings.qp)
-    parts = [initial_reachability(tables.gather(scenarios, slice(number, None, threads))) for number in range(threads)]
+    report = progress or (lambda done, count: None)
     stop = threading.Event()
 
-    def work(number: int) -> None:
-        own = tables.gather(scenarios, slice(number, None, threads))
+    def until_stopped(*step) -> memos.Results:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        return memo(*step)
 
-        def report(row: int, rows: int) -> None:
-            if stop.is_set():
-                raise KeyboardInterrupt
-            if progress is not None and number == 0:
-                progress(row, rows)
-
-        found = parts[number]
-        own = _prefixes(search, own, settings.seed, resolution_rad, found, report)
-        parts[number] = found._replace(most=_upper_bounds(checker.executor, robot, own, found, cells))
+    def work(number: int) -> Reachability:
+        rows = np.arange(number, len(scenarios.count), threads)
+        own, own_memo = tables.gather(scenarios, rows), memos.of_rows(until_stopped, rows)
+        found = initial_reachability(own)
+        own_report = report if number == 0 else lambda row, rows: None
+        own = _prefixes(search, own, settings.seed, resolution_rad, found, own_report, own_memo)
+        return found._replace(most=_upper_bounds(checker.executor, robot, own, found, cells, own_memo))
 
     pool = ThreadPoolExecutor(threads)
     try:
-        list(pool.map(work, range(threads)))
-        if each:
-            found = tables.interleaved(parts)
-            mapped = lambda function, chunks: list(pool.map(function, chunks))  # noqa: E731
-            report = progress or (lambda done, count: None)
-            judge = TargetJudge(search, scenarios, found.x, settings.seed, mapped, report)
-            judged = judge.judge(resolution_rad, cells)
-            return found._replace(most=np.minimum(found.most, judged.first_excluded), each=judged)
-    except KeyboardInterrupt:
-        raise SearchStopped(tables.interleaved(parts)) from None
+        found = tables.interleaved(list(pool.map(work, range(threads))))
+        if not each:
+            return found
+        mapped = lambda function, chunks: list(pool.map(function, chunks))  # noqa: E731
+        judge = TargetJudge(search, scenarios, found.x, settings.seed, mapped, report, until_stopped)
+        judged = judge.judge(resolution_rad, cells)
+        return found._replace(most=np.minimum(found.most, judged.first_excluded), each=judged)
     finally:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
-    return tables.interleaved(parts)
 
 
 def initial_reachability(scenarios: Scenario) -> Reachability:
@@ -145,6 +134,7 @@ def _prefixes(
     resolution_rad: float,
     found: Reachability,
     progress: Callable,
+    memo: Memo,
 ) -> Scenario:
     """Search the prefixes, and write the results into `found`, except `most`.
 
@@ -158,16 +148,18 @@ def _prefixes(
         alive = alive[scenarios.count[alive] > row]
         if not len(alive):
             break
-        looked = alive
+        looked, step = alive, "prefix"
         while len(looked):
-            inputs = lane_inputs.lane_inputs(scenarios, looked, np.full(len(looked), row), seed=seed)
-            clear, best, coarsest = _clear_configurations(search, inputs, [beam[s] for s in looked], resolution_rad)
+            pairs = np.column_stack([looked, np.full(len(looked), row)])
+            inputs, own = lane_inputs.lane_inputs(scenarios, *pairs.T, seed=seed), [beam[s] for s in looked]
+            own_memo = memos.of_step(memo, step)
+            clear, best, coarsest = _clear_configurations(search, inputs, pairs, own, resolution_rad, own_memo)
             for k, s in enumerate(looked):
                 found.best[s], found.resolution_rad[s] = best[k], coarsest[k]
                 if len(clear[k]):
                     beam[s], found.x[s, row] = clear[k], clear[k][0]
                     found.prefix[s] += 1
-            looked = looked[[not len(own) for own in clear]]
+            looked, step = looked[[not len(own) for own in clear]], "free approach"
             leave = _off_lines(scenarios, looked, row)
             scenarios = scenario.with_free_approach(scenarios, leave) if leave.any() else scenarios
             looked = looked[leave[looked, row]]
@@ -177,25 +169,42 @@ def _prefixes(
 
 
 def _clear_configurations(
-    search: ConfigurationSearch, inputs: lane_inputs.LaneInputs, beam: list, resolution_rad: float
+    search: ConfigurationSearch,
+    inputs: lane_inputs.LaneInputs,
+    pairs: memos.Pairs,
+    beam: list,
+    resolution_rad: float,
+    memo: Memo,
 ) -> tuple[list[np.ndarray], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return the clear configurations at n targets, carried over from each `beam` or else searched for.
 
     Also return the largest clearance [m] and the resolution [rad] at targets without a clear configuration; NaN and 0
     at other targets.
     """
-    clear = search.carried(inputs, beam)
+    joints = beam[0].shape[1]
+
+    def carried(which: np.ndarray) -> memos.Results:
+        return memos.padded(search.carried(tables.gather(inputs, which), [beam[k] for k in which]), CARRIED, joints)
+
+    clear = memos.unpadded(memo("carried", pairs, CARRIED * joints, carried), joints)
     best, coarsest = np.full(len(beam), np.nan), np.zeros(len(beam))
     for coarser in COARSE_FIRST if search.checker.task.holds_tcp else (1,):
         which = np.flatnonzero([not len(own) for own in clear])
         if not len(which):
             break
-        lost_inputs = tables.gather(inputs, which)
-        here = search.search(lost_inputs, coarser * resolution_rad)
-        for k, own in zip(which, search.searched(lost_inputs, here.at), strict=True):
+
+        def searched(some: np.ndarray, which=which, coarser=coarser) -> memos.Results:
+            own = tables.gather(inputs, which[some])
+            here = search.search(own, coarser * resolution_rad)
+            rows = memos.padded(search.searched(own, here.at), CARRIED, joints)
+            return np.column_stack([here.at.clearance[:, 0], here.resolution_rad, rows])
+
+        step = f"searched {coarser}"
+        here = memos.in_chunks(memo, SEARCHED)(step, pairs[which], 2 + CARRIED * joints, searched)
+        for k, own in zip(which, memos.unpadded(here[:, 2:], joints), strict=True):
             clear[k] = own
         lost = np.array([not len(clear[k]) for k in which])
-        best[which], coarsest[which] = np.where(lost, here.at.clearance[:, 0], np.nan), lost * here.resolution_rad
+        best[which], coarsest[which] = np.where(lost, here[:, 0], np.nan), lost * here[:, 1]
     return clear, best, coarsest
 
 
@@ -217,7 +226,9 @@ def _off_lines(scenarios: Scenario, rows: Int[np.ndarray, "n"], target: int) -> 
     return which & (np.arange(goals.shape[1]) < scenarios.on_path[:, None])
 
 
-def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int) -> np.ndarray:
+def _upper_bounds(
+    executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int, memo: Memo = compute_all
+) -> np.ndarray:
     """Return the number of targets (S,) before one that is proven unreachable: the smaller result of two searches.
 
     Both bisect between a target that is not excluded and one that is. The first search begins at 4, 8, 16, ... targets
@@ -225,30 +236,40 @@ def _upper_bounds(executor: Executor, robot: Robot, scenarios: Scenario, found: 
     search bisects the whole path, as later targets are usually easier to exclude. The bound is not tight if an earlier
     target could be excluded.
     """
-    ahead = _excluded_first(executor, robot, scenarios, found, cells, FIRST_AHEAD)
-    return np.minimum(ahead, _excluded_first(executor, robot, scenarios, found, cells, 0))
+
+    def are_excluded(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
+        def prove(which: np.ndarray) -> memos.Results:
+            inputs = lane_inputs.lane_inputs(scenarios, rows[which], target[which])
+            return tool_cells.excluded(executor, robot, inputs, cells)[:, None]
+
+        return memos.in_chunks(memo, TOGETHER)("bound", np.column_stack([rows, target]), 1, prove)[:, 0] == 1
+
+    prove = are_excluded if cells else None
+    ahead = _excluded_first(prove, scenarios.count, found, FIRST_AHEAD)
+    return np.minimum(ahead, _excluded_first(prove, scenarios.count, found, 0))
 
 
 def _excluded_first(
-    executor: Executor, robot: Robot, scenarios: Scenario, found: Reachability, cells: int, ahead: int
+    are_excluded: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
+    count: Int[np.ndarray, "S"],
+    found: Reachability,
+    ahead: int,
 ) -> np.ndarray:
     """Return the earliest target of each scenario (S,) that was found to be excluded; the number of targets if none.
 
     Args:
-        executor: Runs compiled functions.
-        robot: The arm.
-        scenarios: Stacked scenarios.
+        are_excluded: Function (rows of scenarios, targets) that returns the mask of excluded targets; None: no proofs.
+        count: Numbers of targets.
         found: Result of the search, with the prefixes.
-        cells: Maximum number of cells in a proof; 0: no proofs.
         ahead: Number of targets from the last found one to the first proof; 0: bisection of the whole path.
     """
-    short, no_cell = found.prefix < scenarios.count, found.resolution_rad == 0
-    low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, scenarios.count)
+    short, no_cell = found.prefix < count, found.resolution_rad == 0
+    low, high = found.prefix - 1, np.where(short & no_cell, found.prefix, count)
     is_bounded = (short & no_cell) | (ahead == 0)
-    while cells and (open_ := np.flatnonzero(short & (high - low > 1))).size:
+    while are_excluded and (open_ := np.flatnonzero(short & (high - low > 1))).size:
         further = np.minimum(found.prefix - 1 + ahead, high - 1)
         target = np.where(is_bounded, (low + high) // 2, further)[open_]
-        none = tool_cells.excluded(executor, robot, lane_inputs.lane_inputs(scenarios, open_, target), cells)
+        none = are_excluded(open_, target)
         high[open_[none]], low[open_[~none]] = target[none], target[~none]
         is_bounded[open_[none]] = True
         ahead *= 2

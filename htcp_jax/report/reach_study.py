@@ -24,10 +24,10 @@ from htcp_jax.reachability import (
     PROOF_CELLS,
     RESOLUTION_RAD,
     EachTarget,
+    Memo,
     Reach,
     Reachability,
-    SearchStopped,
-    initial_reachability,
+    memo,
     obstruction,
     reachable_prefixes,
 )
@@ -217,6 +217,7 @@ def search_batch(
     proof_cells: int,
     each: bool,
     progress: Callable[[int, int, int], None],
+    known: Memo = memo.compute_all,
 ) -> Reachability:
     """Return the reachability of a batch's scenarios, in their order.
 
@@ -227,36 +228,25 @@ def search_batch(
         each: True to also classify every target on the path by itself.
         progress: Function that is called with the number of the batch's cell (robot and scene), and then with the
             arguments of the function `progress` of `reachable_prefixes`.
-
-    Raises:
-        SearchStopped: On Ctrl-C.
+        known: Results of an earlier, interrupted search of the batch.
     """
     parts = []
     for number, cell in enumerate(batch.cells):
         rows = np.flatnonzero(batch.cell == number)
-        try:
-            found = reachable_prefixes(
-                cell.robot,
-                cell.workpiece,
-                jax.tree.map(itemgetter(rows), batch.scenarios),
-                cell.settings,
-                task=cell.task,
-                obstacles=cell.obstacles,
-                resolution_rad=resolution_rad,
-                proof_cells=proof_cells,
-                each=each,
-                progress=lambda done, count, number=number: progress(number, done, count),
-            )
-        except SearchStopped as stop:
-            left = np.flatnonzero(batch.cell > number)
-            later = initial_reachability(jax.tree.map(itemgetter(left), batch.scenarios))
-            done = [(own, part._replace(each=None)) for own, part in parts]
-            raise SearchStopped(_in_order([*done, (rows, stop.found), (left, later)])) from None
+        found = reachable_prefixes(
+            cell.robot,
+            cell.workpiece,
+            jax.tree.map(itemgetter(rows), batch.scenarios),
+            cell.settings,
+            task=cell.task,
+            obstacles=cell.obstacles,
+            resolution_rad=resolution_rad,
+            proof_cells=proof_cells,
+            each=each,
+            progress=lambda done, count, number=number: progress(number, done, count),
+            memo=memo.of_rows(known, rows),
+        )
         parts.append((rows, found))
-    return _in_order(parts)
-
-
-def _in_order(parts: Sequence[tuple[np.ndarray, Reachability]]) -> Reachability:
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
     return lanes.gather(lanes.concatenate([found for _, found in parts]), order)
 

@@ -1,4 +1,5 @@
 from . import (
+    checkpoint,
     columns,
     identity,
     input_files,
@@ -27,6 +28,7 @@ __all__ = [
     "PlanSet",
     "Run",
     "RunningSummary",
+    "checkpoint",
     "columns",
     "identity",
     "input_files",

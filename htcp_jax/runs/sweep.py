@@ -105,7 +105,7 @@ def sweep(
             if value is not None and not 1 <= value <= grid_axes.MOST:
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         batch = spec.batch(limit)
-        requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+        requested = requested_manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
         execution = Execution(device, threads, targets_in_all=targets_in_all)
         planned = _planner(on, chosen, batch, spec, execution)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
@@ -175,7 +175,7 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with output_files.made_folder(folder):
-        run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None, shard_scenarios))
+        run = writer.begin(folder, requested_manifest(spec, batch, tuple(plans), None, shard_scenarios))
         for method, found in plans.items():
             for span in spans(run.manifest):
                 own = found.rows(slice(span.first, span.last + 1))
@@ -244,7 +244,9 @@ def _causes(batch: Batch, span: Span, plans: Plans) -> dict[int, start_cause.Sta
     return found
 
 
-def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
+def requested_manifest(
+    spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
+) -> Manifest:
     """Return the manifest of a requested run; it contains no shards yet."""
     config = spec.config.model_dump(mode="json")
     grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
