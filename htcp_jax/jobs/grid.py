@@ -16,7 +16,7 @@ import itertools
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ from htcp_jax.jobs.load_config import load_config, read_config, source_of
 from htcp_jax.jobs.resolve import check_start
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.settings import Settings
+from htcp_jax.settings import AUTO_QP, Settings
 from htcp_jax.spec import (
     DEPENDENT,
     PlanConfig,
@@ -116,6 +116,12 @@ class Sweep:
 
     def __len__(self) -> int:
         return sum(group.size for group in self.groups)
+
+    def on(self, platform: str) -> "Sweep":
+        """Return the sweep with the QP solvers that `auto` selects on a platform, such as "cpu", see `Settings.on`."""
+        auto, settings = Settings(qp=AUTO_QP).on(platform).qp, self.config.settings.on(platform)
+        groups = tuple(group.with_value("settings.qp", AUTO_QP, auto) for group in self.groups)
+        return replace(self, config=self.config.model_copy(update={"settings": settings}), groups=groups)
 
     def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
         """Return number and configuration of the first `limit` scenarios; None: of all.
