@@ -1,5 +1,7 @@
 """Sizes of a sweep's shards."""
 
+from itertools import pairwise
+
 import pytest
 
 from htcp_jax.runs.manifest import Span
@@ -21,7 +23,7 @@ def test_shards_grow_until_one_takes_a_minute(scenario_s):
     shards = planned(sizes, [Shard("beam", Span(0, 2999))], scenario_s)
     counts = [shard.count for shard in shards]
     assert counts[0] == 16 and sum(counts) == 3000
-    assert all(later <= 8 * count for count, later in zip(counts[:-1], counts[1:], strict=True))
+    assert all(later <= 8 * count for count, later in pairwise(counts))
     assert max(counts[1:]) * scenario_s <= SHARD_S
     assert len(counts) < 8 or min(counts[3:-1]) * scenario_s > 0.9 * SHARD_S
 

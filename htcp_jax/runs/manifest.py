@@ -66,7 +66,7 @@ class Manifest(strict_model.FileSection):
     full: Scenarios  # number of scenarios in the complete grid
     limit: int | None  # requested maximum number of scenarios; None: all
     count: Scenarios  # number of scenarios to plan, the first ones of the grid
-    shard_scenarios: int | None = Field(None, exclude=True)  # without effect; in manifests of older versions
+    shard_scenarios: Annotated[int | None, Field(exclude=True)] = None  # without effect; written by older versions
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method
     planned_by: tuple[dict[str, Any], ...] = ()  # provenance of shards: commit, versions, device
