@@ -43,7 +43,7 @@ def points_of(
     for key, words in FILE_KEYS.items():
         files = [value for column in columns if column.parameter.key == key for value in column.values]
         short[key] = short_names([*files, value_at(base, key)], words)
-    words = _Words(varied, short)
+    texts = _Words(varied, short)
     number = itertools.count()
     for group in groups:
         own_defaults = has_own_defaults(group)
@@ -58,7 +58,7 @@ def points_of(
                     put_parameter(raw, column, value)
                 own = strict_model.validate_model(raw, PlanConfig, f"{name}: scenario {k}")
             own = with_weights(own, joints)
-            yield ScenarioPoint(k, group.name, own, words.of(own))
+            yield ScenarioPoint(k, group.name, own, texts.of(own))
 
 
 class _Values:
