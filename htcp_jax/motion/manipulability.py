@@ -60,4 +60,5 @@ def _jacobian(settings, scene: Scene, lane: _AtTarget, x):
     return scene.task.linear_at(scene.robot, x, lane.target).jacobian
 
 
-JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, lane_function.STEP)
+SIZES = lane_function.STEP._replace(cpu=lane_function.BatchSize(4096, 1))  # a lane takes less time than a call
+JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, SIZES)
