@@ -97,6 +97,16 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
     assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
+def test_a_run_names_the_solver_that_auto_selected_so_that_another_device_does_not_continue_it(small):
+    run = sweep("grid.yaml", "baseline", "run", limit=1)
+    assert load_sweep("grid.yaml").config.settings.qp == "auto" and run.config.settings.qp == "clarabel"
+    asked = {"grid": [{"settings.qp": ["auto", "clarabel"]}]}
+    used = [point.config.settings.qp for point in load_sweep(asked, "job.yaml").on("gpu").points()]
+    assert used == ["device", "clarabel"] and load_sweep("grid.yaml").on("gpu").config.settings.qp == "device"
+    with pytest.raises(InputError, match=r"settings\.qp was clarabel, now device; choose another --out"):
+        sweep(load_sweep("grid.yaml").on("gpu"), "baseline", "run")
+
+
 def test_what_is_finished_is_not_planned_again(small, shards):
     planned, note = shards
     sweep("grid.yaml", "baseline", "run", shard_scenarios=2, finished=note)

@@ -226,7 +226,7 @@ def scenario_of(
             "record" does not, see `make_scenario`.
     """
     part, task = job.workpiece, task_of_job(job, robot)
-    follows = None if job.start is None else follower_at(job, robot, np.array(job.start))
+    follows = follower_at(job, robot, np.array(job.start)) if job.task and job.start is not None else None
     scenario = make_scenario(
         robot,
         workpiece,
