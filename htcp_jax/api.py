@@ -436,7 +436,9 @@ def plan_job(
     Raises:
         InputError: See `plan`.
     """
-    with devices.on(devices.choose(device)[0]):
+    first = devices.choose(device)[0]
+    job = job.model_copy(update={"settings": job.settings.on(first.platform)})
+    with devices.on(first):
         chosen = method or planning_methods.find(job.method)
         job, robot, workpiece, scenario = jobs.build.resolved_scene(job, source)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)

@@ -5,7 +5,7 @@ The defaults worked best in our tests; `configs/paper.yaml` contains the paper's
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, create_model
@@ -14,10 +14,12 @@ from htcp_jax.errors import InputError, described
 
 
 def _could_be_a_solver(name: str) -> str:
-    if name not in ("clarabel", "device") and not name.startswith("qpsolvers:"):
-        raise InputError(f"{name!r} is not a QP solver; valid: clarabel, device, qpsolvers:<name of a solver>")
+    if name not in (AUTO_QP, "clarabel", "device") and not name.startswith("qpsolvers:"):
+        raise InputError(f"{name!r} is not a QP solver; valid: auto, clarabel, device, qpsolvers:<name of a solver>")
     return name
 
+
+AUTO_QP = "auto"  # value of `Settings.qp` that `Settings.on` replaces
 
 # Valid ranges. A value outside its range is a typing error or has the wrong unit.
 SMALLEST = 1e-15  # smallest divisor and smallest step
@@ -50,7 +52,7 @@ class Settings:
     max_step_qps: Steps = 20  # maximum number of step QPs at one target; the arm then counts as stuck
     tolerance_m: Tolerance = 1e-3  # maximum TCP error at a reached target; also xi, the tolerance of re-anchoring
     tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # maximum error of the constrained angles
-    qp: Solver = "clarabel"  # solver: clarabel, device, or qpsolvers:<name>
+    qp: Solver = AUTO_QP  # solver: clarabel, device, qpsolvers:<name>, or auto: clarabel on a CPU, device on a GPU
     qp_tolerance: Annotated[float, Field(ge=SMALLEST, le=0.01)] = (
         1e-8  # Clarabel's tolerance for residuals and gap [1]; at margin 0 it decides which targets get stuck
     )
@@ -119,6 +121,10 @@ class Settings:
     def tube_m(self) -> float:
         """Allowed distance of a motion's TCP from the line between two targets [m]."""
         return self.tolerance_m if self.path_tolerance_m is None else self.path_tolerance_m
+
+    def on(self, platform: str) -> "Settings":
+        """Return the settings with the QP solver that `auto` selects on a platform, such as "cpu"; results name it."""
+        return replace(self, qp="clarabel" if platform == "cpu" else "device") if self.qp == AUTO_QP else self
 
     def __post_init__(self):
         _checked(_RANGES, vars(self))

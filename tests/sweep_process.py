@@ -82,7 +82,7 @@ def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
 
 def without_progress(errors: str) -> list[str]:
     """Lines on stderr without the progress lines, whose number depends on the load of the machine."""
-    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?$", line)]
+    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?( left| in all)?$", line)]
 
 
 def rows(folder: Path) -> dict[str, bytes]:

@@ -63,7 +63,7 @@ def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_ove
         ("settings.tolerance_m=-1", "settings.tolerance_m is -1: at least 1e-15 is needed"),
         ("settings.q_weights=[1, 0]", "settings.q_weights.1 is 0: at least 1e-15 is needed"),
         ("settings.clearance_rows=all", "settings.clearance_rows is 'all': input should be 'per-body' or 'smallest'"),
-        ("settings.qp=magic", "settings.qp: 'magic' is not a QP solver; valid: clarabel"),
+        ("settings.qp=magic", "settings.qp: 'magic' is not a QP solver; valid: auto, clarabel"),
         ("margin_m=-0.1", "margin_m is -0.1: at least 0 is needed"),
         ("margin_m=.nan", "margin_m is nan: input should be a finite number"),
         ("start_rad=here", "start_rad: 'here' is not a start configuration; valid: auto, or a list of joint positions"),

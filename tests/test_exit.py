@@ -182,7 +182,7 @@ def test_a_sweep_that_compiles_keeps_what_is_finished_and_says_how_to_go_on(here
     compiles(here)(process)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=LIMIT_S)
-    go_on = "htcp: stopped; 1 of 2 shards are finished in run; run the same command to resume"
+    go_on = "htcp: stopped; 6 of 12 plans are finished in run; run the same command to resume"
     assert (process.returncode, sweep_process.without_progress(errors)) == (143, [go_on])
     assert sweep_process.rows(here / "run") == before and open_run(here / "run").unfinished() == {"cspace-sample": 6}
 

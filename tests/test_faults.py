@@ -63,7 +63,7 @@ def test_a_second_sweep_is_refused_and_a_signal_ends_the_first_which_then_goes_o
         output, errors = first.communicate()
     assert (first.returncode, output) == (143, "")
     assert without_progress(errors) == [
-        f"htcp: stopped; {HALF} of {SHARDS} shards are finished in run; run the same command to resume"
+        f"htcp: stopped; {HALF} of {SHARDS} plans are finished in run; run the same command to resume"
     ]
     goes_on_to(here, "run", undisturbed)
 

@@ -258,7 +258,8 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
 
 
 def test_the_seam_makes_the_solver_that_the_settings_name():
-    assert isinstance(make_solver(Settings(), 8), ClarabelSolver)
+    assert isinstance(make_solver(Settings().on("cpu"), 8), ClarabelSolver)
+    assert make_solver(Settings().on("gpu"), 8) is None  # lane functions solve the QPs
     assert isinstance(make_solver(Settings(qp="qpsolvers:clarabel"), 8), QPSolversSolver)
     with pytest.raises(InputError, match=r"'gurobbi' is not installed; valid: .*clarabel"):
         make_solver(Settings(qp="qpsolvers:gurobbi"), 8)

@@ -255,7 +255,7 @@ def test_when_the_whole_cluster_is_lost_what_is_finished_is_kept(here, undisturb
     assert driver.returncode == 1, errors
     (line,) = [line for line in errors.splitlines() if line.startswith("htcp: ")]  # among Ray's own output
     assert line.startswith("htcp: Ray lost its workers") and line.endswith("run the same command to resume")
-    assert f"{HALF} of {SHARDS} shards are finished" in line
+    assert f"{HALF} of {SHARDS} plans are finished" in line
     assert finish(here, "run").returncode == 0 and rows(here / "run") == undisturbed
 
 

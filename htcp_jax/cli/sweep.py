@@ -46,7 +46,7 @@ Out = Annotated[
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 Shard = Annotated[
     int | None,
-    typer.Option(metavar="N", help="Scenarios per work unit; a failed unit is planned again completely."),
+    typer.Option(metavar="N", help="Scenarios per work unit; by default as many as take about a minute."),
 ]
 
 

@@ -2,9 +2,11 @@
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -29,6 +31,7 @@ COMPILER = {
 }
 
 
+NO_MEMORY = "RESOURCE_EXHAUSTED"  # in the message of JAX's error if a device runs out of memory
 NO_STOPWATCH = nullcontext()  # used if the waiting time is not measured
 
 
@@ -45,9 +48,36 @@ class ExecutableCache:
         self._compiled: dict[tuple, jax.stages.Compiled] = {}  # in the order of their last use
         self._compiling: dict[tuple, threading.Lock] = {}  # one lock per executable: others can be compiled
         self._tracing, self._sorting = threading.Lock(), threading.Lock()
+        self._smaller: dict[LaneFunction, LaneFunction] = {}  # functions whose tables were too large, with smaller ones
 
     def __len__(self) -> int:
         return len(self._compiled)
+
+    def fitting(self, lane_function: LaneFunction) -> LaneFunction:
+        """Return the function with tables that fit into the memory of the device, as far as known."""
+        return self._smaller.get(lane_function, lane_function)
+
+    def shrink(self, lane_function: LaneFunction, failed: LaneFunction, device: jax.Device) -> bool:
+        """Halve a function's tables after a call ran out of memory; return False if they have one row.
+
+        The first time, a warning says so.
+
+        Args:
+            lane_function: The function.
+            failed: What `fitting` returned for the call.
+            device: The device.
+        """
+        with self._sorting:
+            if self.fitting(lane_function) != failed:
+                return True  # another thread has halved them
+            if failed.sizes.on(device).capacity == 1:
+                return False
+            first = not self._smaller
+            self._smaller[lane_function] = replace(failed, sizes=failed.sizes.halved())
+        if first:
+            words = f"{device.device_kind} has too little memory for {failed.name}; its tables are halved"
+            warnings.warn(f"{words}; planning takes longer, and results may be rounded differently", stacklevel=2)
+        return True
 
     def clear(self) -> None:
         """Drop all executables and free their memory."""
@@ -203,7 +233,23 @@ class Executor:
         return self.task.values, 1 if self._settings.clearance_rows == "smallest" else len(self._scene.rows.body)
 
     def __call__(self, lane_function: LaneFunction, *tables) -> Any:
-        """Run a lane function over tables of n >= 1 lanes; return numpy tables of n lanes."""
+        """Run a lane function over tables of n >= 1 lanes; return numpy tables of n lanes.
+
+        If the device runs out of memory, the function's tables are halved until a call fits.
+        """
+        return self._fitted(lane_function, lambda fitting: self._call(fitting, tables))
+
+    def _fitted(self, lane_function: LaneFunction, call: Callable[[LaneFunction], Any]) -> Any:
+        while True:
+            fitting = self._executables.fitting(lane_function)
+            try:
+                return call(fitting)
+            except jax.errors.JaxRuntimeError as error:
+                is_full = NO_MEMORY in str(error)
+                if not (is_full and self._executables.shrink(lane_function, fitting, self.device)):
+                    raise
+
+    def _call(self, lane_function: LaneFunction, tables) -> Any:
         lanes = len(jax.tree.leaves(tables)[0])
         most = min(lane_function.sizes.on(self.device).capacity, max(FEW, -(-lanes // self._threads)))
         if lanes <= most:
@@ -235,7 +281,10 @@ class Executor:
                     each.result()
 
     def _ready(self, lane_function: LaneFunction, tables) -> None:
-        self._executables.get(lane_function, self._settings, self.device, self._arguments(lane_function, tables))
+        def ready(fitting: LaneFunction) -> None:
+            self._executables.get(fitting, self._settings, self.device, self._arguments(fitting, tables))
+
+        self._fitted(lane_function, ready)
 
     def _run(self, lane_function: LaneFunction, tables):
         lanes = len(jax.tree.leaves(tables)[0])

@@ -27,6 +27,10 @@ class BatchSize(NamedTuple):
         """Return the number of rows of the tables for a call with the given number of lanes."""
         return self.width if self.refills and lanes <= self.width else self.capacity
 
+    def halved(self) -> "BatchSize":
+        """Return half of the size; at least one row."""
+        return self._replace(capacity=max(1, self.capacity // 2), width=max(1, self.width // 2))
+
 
 class DeviceSizes(NamedTuple):
     """Table sizes of a class of lane functions: one size per platform, for any number of lanes.
@@ -41,6 +45,10 @@ class DeviceSizes(NamedTuple):
     def on(self, device: jax.Device) -> BatchSize:
         """Return the table size for a device."""
         return self.cpu if device.platform == "cpu" else self.gpu
+
+    def halved(self) -> "DeviceSizes":
+        """Return half of the sizes."""
+        return DeviceSizes(self.cpu.halved(), self.gpu.halved())
 
 
 ALONE = BatchSize(128, 1)

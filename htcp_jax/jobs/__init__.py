@@ -5,8 +5,8 @@ the values that depend on the robot. `build` makes a job's robot, workpiece, tas
 shapes of its work cell. `with_kinds` adds obstacles and task rows from Python to a job, and `seeded` adds a seed to
 overrides.
 
-`grid` reads a sweep: a grid of jobs, whose scenarios are stacked into batches. `grid_axes` defines the keys that may
-vary and reads their values. `grid_points` yields the configuration of each scenario.
+`grid` reads a sweep: a grid of jobs. `grid_axes` defines the keys that may vary and reads their values. `grid_points`
+yields the configuration of each scenario, and `batch` builds the arrays of all scenarios.
 
 The import of `load_config` does not import the planner or JAX.
 """

@@ -1,6 +1,7 @@
 from . import build, grid_axes
+from .batch import Batch, PlannerInputs
 from .cell_shapes import shapes_in_world
-from .grid import Batch, PlannerInputs, Sweep, load_sweep, load_sweep_or_job
+from .grid import Sweep, load_sweep, load_sweep_or_job
 from .grid_points import points_of
 from .load_config import load_config, seeded, source_of, with_kinds
 from .resolve import resolve, with_weights

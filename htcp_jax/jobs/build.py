@@ -32,6 +32,7 @@ from htcp_jax.model import (
     make_scenario,
     surface,
     task_of,
+    tcp_at,
     thinnest_nearby,
     with_goals,
 )
@@ -213,7 +214,6 @@ def scenario_of(
     workpiece: Workpiece,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
-    follows: Float[np.ndarray, "3"] | None = None,
 ) -> Scenario:
     """Build the scenario of a job: start, workpiece pose, targets, margin and tool extension.
 
@@ -224,9 +224,9 @@ def scenario_of(
         number: Number of the scenario, from which its random keys are derived.
         beyond_reach: "raise" raises an error if a target is beyond reach, or violates an angle that no joint changes;
             "record" does not, see `make_scenario`.
-        follows: World position, in the start configuration, of the point that follows the path [m]; None: computed.
     """
     part, task = job.workpiece, task_of_job(job, robot)
+    follows = follower_at(job, robot, np.array(job.start)) if job.task and job.start is not None else None
     scenario = make_scenario(
         robot,
         workpiece,
@@ -240,24 +240,33 @@ def scenario_of(
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,
-        follows=_follower_at_start(job, robot) if follows is None else follows,
+        follows=follows,
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = with_goals(scenario, job.task, task, robot, workpiece)
+    scenario = with_goals_of_job(scenario, job, task, robot, workpiece)
     if beyond_reach == "raise":
         check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
 
 
-def _follower_at_start(job: PlanConfig, robot: Robot) -> Float[np.ndarray, "3"] | None:
-    """Return the world position, in the start configuration, of the point that follows the path [m].
+@_rows_by_key()
+def with_goals_of_job(scenario: Scenario, job: PlanConfig, task: Task, robot: Robot, workpiece: Workpiece) -> Scenario:
+    """Return the scenario with the goals of the job's task, see `model.with_goals`."""
+    return with_goals(scenario, job.task, task, robot, workpiece)
 
-    None if that point is the TCP (the job has no task), or if the job gives no start configuration.
+
+def follower_at(job: PlanConfig, robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
+    """Return the world position, in a configuration x, of the point that follows the path [m]: the TCP without a task.
+
+    Args:
+        job: The job.
+        robot: The robot from `robot_of`.
+        x: The configuration [rad or m].
     """
-    if not job.task or job.start is None:
-        return None
-    return follower_position(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), np.array(job.start))
+    if not job.task:
+        return tcp_at(robot, job.robot.tool_extension_m, x)
+    return follower_position(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), x)
 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:

@@ -14,37 +14,19 @@ concatenated. A scenario's number is its index in the complete grid. It determin
 
 import itertools
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from jaxtyping import Float, Int
-
-from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.build import (
-    obstacles_key,
-    obstacles_of,
-    robot_key,
-    robot_of,
-    scenario_of,
-    task_of_job,
-    walls_key,
-    with_robot,
-    workpiece_key,
-    workpiece_of,
-)
+from htcp_jax.jobs.batch import Batch, batch_of
+from htcp_jax.jobs.build import with_robot
 from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config, source_of
-from htcp_jax.jobs.resolve import check_start
-from htcp_jax.model import Robot, Scenario, Task, Workpiece
-from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.settings import Settings
+from htcp_jax.model import Robot
+from htcp_jax.settings import AUTO_QP, Settings
 from htcp_jax.spec import (
     DEPENDENT,
     PlanConfig,
@@ -63,35 +45,6 @@ class SweepFile(strict_model.FileSection):
     config: str | None = None
     grid: tuple[dict, ...] | None = None
     groups: dict[str, tuple[dict, ...]] | None = None
-
-
-class PlannerInputs(NamedTuple):
-    """Inputs that all scenarios in one call of the planner share."""
-
-    robot: Robot
-    workpiece: Workpiece
-    settings: Settings
-    task: Task
-    obstacles: Obstacles = ()  # those in addition to the workpiece
-
-
-class Batch(NamedTuple):
-    """Scenarios of a sweep, with all inputs of the planner."""
-
-    cells: tuple[PlannerInputs, ...]  # the distinct inputs; scenarios with equal inputs share one entry
-    cell: Int[np.ndarray, "S"]  # index of each scenario's inputs in `cells`
-    scenarios: Scenario  # all scenarios, with a leading axis S in each array
-    points: tuple[ScenarioPoint, ...]  # number and configuration of each scenario
-
-    @property
-    def robot(self) -> Robot:
-        """Robot of the first scenario; the robots of all scenarios have the same joints."""
-        return self.cells[0].robot
-
-    @property
-    def workpiece(self) -> Workpiece:
-        """Workpiece of the first scenario."""
-        return self.cells[0].workpiece
 
 
 @dataclass(frozen=True)
@@ -117,6 +70,12 @@ class Sweep:
     def __len__(self) -> int:
         return sum(group.size for group in self.groups)
 
+    def on(self, platform: str) -> "Sweep":
+        """Return the sweep with the QP solvers that `auto` selects on a platform, such as "cpu", see `Settings.on`."""
+        auto, settings = Settings(qp=AUTO_QP).on(platform).qp, self.config.settings.on(platform)
+        groups = tuple(group.with_value("settings.qp", AUTO_QP, auto) for group in self.groups)
+        return replace(self, config=self.config.model_copy(update={"settings": settings}), groups=groups)
+
     def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
         """Return number and configuration of the first `limit` scenarios; None: of all.
 
@@ -135,37 +94,7 @@ class Sweep:
             InputError: If a start is outside the joint limits, or if the robots have different joints. The message
                 names the scenario.
         """
-        points = self.points(limit)
-        shared = robot_key(self.config)
-        robots = cache(lambda *key: self.robot if key == shared else robot_of(*key))
-        workpieces = cache(lambda part, *key: workpiece_of(part, robots(*key)))
-        obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
-        follows: dict[tuple, Float[np.ndarray, "3"]] = {}  # argument of `scenario_of`, by what determines it
-        cells: dict[tuple, tuple[int, PlannerInputs]] = {}
-        scenarios, whose = [], []
-        for point in points:
-            arm, part, settings = robot_key(point.config), workpiece_key(point.config), point.config.settings
-            where = f"{self.name}: scenario {point.number}"
-            robot = _like(self.robot, robots(*arm), where)
-            check_start(point.config, robot, where)
-            workpiece = workpieces(part, *arm)
-            with _naming(point):
-                task = task_of_job(point.config, robot)
-            surroundings = obstacles_key(point.config.cell)
-            if (arm, surroundings) not in obstacles:
-                obstacles[arm, surroundings] = obstacles_of(point.config.cell, robot)
-            own = len(cells), PlannerInputs(robot, workpiece, settings, task, obstacles[arm, surroundings])
-            whose.append(cells.setdefault((arm, walls_key(part), settings, task, surroundings), own)[0])
-            begins = arm, point.config.robot.tool_extension_m, point.config.start, point.config.task
-            number = 0 if self.alone else point.number
-            with _naming(point):
-                scenario = scenario_of(point.config, robot, workpiece, number, "record", follows.get(begins))
-                scenarios.append(scenario)
-                _check_alike(task, scenario, next(iter(cells.values()))[1].task, scenarios[0])
-            follows[begins] = scenario.targets[0]
-        return Batch(
-            tuple(cell for _, cell in cells.values()), np.array(whose, int), scenario_functions.stack(scenarios), points
-        )
+        return batch_of(self.name, self.config, self.robot, self.points(limit), self.alone)
 
 
 def load_sweep(
@@ -257,46 +186,3 @@ def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder:
     return {
         key: value for key, value in first.items() if key == "start_rad" or (key.startswith("robot.") and key in KEYS)
     }
-
-
-def _like(first: Robot, robot: Robot, where: str) -> Robot:
-    """Return `robot` unchanged, after a check that it has the same joints as the first robot.
-
-    Args:
-        first: The first robot.
-        robot: The robot to check.
-        where: Name of its scenario, for messages.
-
-    Raises:
-        InputError: If the number or the types of the joints differ.
-    """
-    if robot.slides != first.slides:
-        kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
-        raise InputError(
-            f"{where}: {'; '.join(kinds)}; all robots of a sweep must have the same numbers of hinge and slide joints"
-        )
-    return robot
-
-
-@contextmanager
-def _naming(point: ScenarioPoint) -> Iterator[None]:
-    """Put the scenario's number in front of the message of an `InputError`."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"scenario {point.number}: {error}") from None
-
-
-def _check_alike(task: Task, scenario: Scenario, first_task: Task, first: Scenario) -> None:
-    """Check that goals and obstacles have as many numbers as those of the first scenario, as they are stacked.
-
-    Raises:
-        InputError: If the numbers differ.
-    """
-    if task.numbers != first_task.numbers:
-        raise InputError(
-            "its task has other kinds of rows than the first scenario's; "
-            "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
-        )
-    if np.shape(scenario.obstacle_numbers) != np.shape(first.obstacle_numbers):
-        raise InputError("its cell.obstacles need as many numbers as the first scenario's")

@@ -87,6 +87,15 @@ class Group(NamedTuple):
         """Keys of the configuration that vary."""
         return {column.parameter.key for axis in self.axes for column in axis}
 
+    def with_value(self, key: str, old: Any, new: Any) -> "Group":
+        """Return the grid with a value of a key replaced by another one in all axes."""
+
+        def replaced(column: AxisColumn) -> AxisColumn:
+            values = tuple(new if value == old else value for value in column.values)
+            return column._replace(values=values) if column.parameter.key == key else column
+
+        return self._replace(axes=tuple(tuple(map(replaced, axis)) for axis in self.axes))
+
     def rows(self) -> Iterator[list[tuple[AxisColumn, Any]]]:
         """Yield, for every scenario, its pairs of column and value; the last axis varies fastest."""
         for rows in itertools.product(*(range(len(axis[0].values)) for axis in self.axes)):

@@ -9,7 +9,16 @@ from .robot import Robot
 from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
 from .row_bounds import FeatureMotion, Region, RowSlack
 from .scenario import Scenario
-from .scenario_setup import interior_plane_of, interior_rule, make_scenario, place_of, with_own_tool
+from .scenario_setup import (
+    interior_plane_of,
+    interior_rule,
+    make_scenario,
+    make_scenarios,
+    place_of,
+    start_and_home,
+    tcp_at,
+    with_own_tool,
+)
 from .task import TCP_POSITION, Task, TaskLinear, feature_at
 from .task_rows import Feature, Row, TaskPoint
 from .workpiece import InletDirection, Workpiece, median_distance
@@ -51,6 +60,7 @@ __all__ = [
     "kinematics",
     "make_piece",
     "make_scenario",
+    "make_scenarios",
     "median_distance",
     "place_of",
     "quaternion_matrix",
@@ -59,8 +69,10 @@ __all__ = [
     "scenario",
     "sine_error",
     "stack_pieces",
+    "start_and_home",
     "surface",
     "task_of",
+    "tcp_at",
     "thinnest_nearby",
     "with_goals",
     "with_own_tool",

@@ -72,16 +72,18 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
     """
     if not scenarios:
         raise InputError("no scenarios to plan")
-    longest = max(len(s.targets) for s in scenarios)
+    return concatenate([jax.tree.map(lambda leaf: np.asarray(leaf)[None], one) for one in scenarios])
+
+
+def concatenate(parts: Sequence[Scenario]) -> Scenario:
+    """Return the scenarios of several batches as one batch; shorter target lists are padded, see `stack`."""
+    longest = max(part.targets.shape[1] for part in parts)
 
     def pad(rows):
-        return None if rows is None else np.concatenate([rows, np.repeat(rows[-1:], longest - len(rows), axis=0)])
+        return None if rows is None else np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), (0, 0)), mode="edge")
 
-    padded = [
-        jax.tree.map(np.asarray, Scenario(**{**vars(s), "targets": pad(s.targets), "task_goals": pad(s.task_goals)}))
-        for s in scenarios
-    ]
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+    padded = [replace(part, targets=pad(part.targets), task_goals=pad(part.task_goals)) for part in parts]
+    return padded[0] if len(padded) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *padded)
 
 
 def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:

@@ -1,4 +1,4 @@
-"""Set-up of one scenario: its start, the pose of the part, its targets, and their description."""
+"""Set-up of scenarios: the start, the pose of the part and the targets, and their description."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario, without_pose
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.status import Status
-from htcp_jax.types import Anywhere, Float
+from htcp_jax.types import Anywhere, Float, Int
 
 
 class OutOfReach(InputError):
@@ -21,12 +21,12 @@ class OutOfReach(InputError):
 
 
 def path_targets(
-    tcp: Float[np.ndarray, "3"],
-    inlet: Float[np.ndarray, "3"] | None,
-    path: Float[np.ndarray, "W 3"],
+    tcp: Float[np.ndarray, "*S 3"],
+    inlet: Float[np.ndarray, "*S 3"] | None,
+    path: Float[np.ndarray, "*S W 3"],
     approach: tuple[int, int] = (5, 5),
-) -> Float[np.ndarray, "T 3"]:
-    """Return the targets of one scenario [m]: the start TCP, the steps of the approach, and the complete path.
+) -> Float[np.ndarray, "*S T 3"]:
+    """Return the targets of scenarios [m]: the start TCP, the steps of the approach, and the complete path.
 
     The path's first point occurs twice: it is also the last step of the approach. All points are in the same frame.
 
@@ -36,12 +36,13 @@ def path_targets(
         path: Points of the path.
         approach: Number of equal steps to the inlet's centre, and number of equal steps from there to the path.
     """
-    stops = [tcp, path[0]] if inlet is None else [tcp, inlet, path[0]]
+    stops = [tcp, path[..., 0, :]] if inlet is None else [tcp, inlet, path[..., 0, :]]
+    stops = [np.asarray(stop)[..., None, :] for stop in stops]
     steps = [sum(approach)] if inlet is None else approach
     legs = [
         a + (b - a) * np.linspace(0, 1, n + 1)[1:, None] for a, b, n in zip(stops[:-1], stops[1:], steps, strict=True)
     ]
-    return np.concatenate([np.asarray(tcp)[None], *legs, path])
+    return np.concatenate([stops[0], *legs, path], axis=-2)
 
 
 def make_scenario(
@@ -83,36 +84,82 @@ def make_scenario(
         InputError: For a start or home of the wrong length or outside the joint limits.
         OutOfReach: An InputError, for a target beyond the arm's maximum reach if `beyond_reach` is "raise".
     """
-    x_start, x_home = _begins(robot, start, home)
-    longer = with_tool(robot, float(tool_extension_m))
+    x_start, x_home = start_and_home(robot, start, home)
     T_world_workpiece = workpiece.T_world(*rotation, shift=shift, wx=rotation_x_rad)
-    rotate, translate = T_world_workpiece[:3, :3], T_world_workpiece[:3, 3]
-    path = workpiece.path @ rotate.T + translate
-    if follows is None:
-        follows = np.asarray(_TCP(longer, x_start))
+    scenarios = make_scenarios(
+        robot,
+        workpiece,
+        x_start[None],
+        x_home[None],
+        auto_start=start is None,
+        follows=(tcp_at(robot, tool_extension_m, x_start) if follows is None else np.asarray(follows))[None],
+        T_world_workpiece=T_world_workpiece[None],
+        interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece)[None],
+        approach=approach,
+        margin_m=np.array([margin_m], float),
+        tool_extension_m=tool_extension_m,
+        number=np.array([number]),
+    )
+    scenario = jax.tree.map(lambda leaf: np.asarray(leaf[0]), scenarios)
+    if beyond_reach == "raise" and scenario.refused != NOT_REFUSED:
+        error = _beyond_reach(with_tool(robot, float(tool_extension_m)), scenario.targets)
+        raise OutOfReach(f"{without_pose(T_world_workpiece)}{error}")
+    return scenario
+
+
+def make_scenarios(
+    robot: Robot,
+    workpiece: Workpiece,
+    x_start: Float[np.ndarray, "S N"],
+    x_home: Float[np.ndarray, "S N"],
+    *,
+    auto_start: bool,
+    follows: Float[np.ndarray, "S 3"],
+    T_world_workpiece: Float[np.ndarray, "S 4 4"],
+    interior_plane: Float[np.ndarray, "S 4"],
+    approach: tuple[int, int],
+    margin_m: Float[np.ndarray, "S"],
+    tool_extension_m: float,
+    number: Int[np.ndarray, "S"],
+) -> Scenario:
+    """Build stacked scenarios that share the robot with its tool, the workpiece and the approach.
+
+    The status of a scenario with a target beyond the arm's maximum reach is set, and it is not planned.
+
+    Args:
+        robot: The robot.
+        workpiece: The workpiece.
+        x_start: Starts, see `start_and_home` [rad or m].
+        x_home: First configurations of the motions [rad or m].
+        auto_start: True if the planner chooses the starts, see `make_scenario`.
+        follows: World positions [m], at the starts, of the point that follows the path.
+        T_world_workpiece: Poses of the workpiece [m].
+        interior_plane: Planes that belong to the poses, see `interior_plane_of` [m].
+        approach: Steps of the approach, see `path_targets`.
+        margin_m: Required clearances.
+        tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
+        number: Numbers of the scenarios, for the random keys.
+    """
+    rotate, translate = T_world_workpiece[:, :3, :3], T_world_workpiece[:, :3, 3]
+    path = workpiece.path @ np.swapaxes(rotate, 1, 2) + translate[:, None]
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
-    first, steps = (path[0], (0, 0)) if start is None else (follows, approach)
+    first, steps = (path[:, 0], (0, 0)) if auto_start else (follows, approach)
     targets = path_targets(first, inlet, path, steps)
-    refused = NOT_REFUSED
-    try:
-        _check_reach(longer, targets)
-    except OutOfReach as error:
-        if beyond_reach == "raise":
-            raise OutOfReach(f"{without_pose(T_world_workpiece)}{error}") from None
-        refused = Status.OUT_OF_REACH
+    is_far = _distances(robot, targets) > max_reach(with_tool(robot, float(tool_extension_m)))
+    scenarios, count = targets.shape[:2]
     return Scenario(
         x_start=x_start,
         x_home=x_home,
-        auto_start=np.asarray(start is None),
+        auto_start=np.full(scenarios, auto_start),
         T_world_workpiece=T_world_workpiece,
-        interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece),
+        interior_plane=interior_plane,
         targets=targets,
-        count=np.asarray(len(targets), np.int32),
-        on_path=np.asarray(len(targets) - len(workpiece.path), np.int32),
-        margin_m=np.asarray(margin_m, float),
-        tool_extension_m=np.asarray(tool_extension_m, float),
-        number=np.asarray(number, np.int32),
-        refused=np.asarray(refused, np.int32),
+        count=np.full(scenarios, count, np.int32),
+        on_path=np.full(scenarios, count - len(workpiece.path), np.int32),
+        margin_m=margin_m,
+        tool_extension_m=np.full(scenarios, tool_extension_m, float),
+        number=number.astype(np.int32),
+        refused=np.where(is_far.any(axis=1), Status.OUT_OF_REACH, NOT_REFUSED).astype(np.int32),
     )
 
 
@@ -176,11 +223,22 @@ def with_tool(robot: Robot, extension_m: float) -> Robot:
     return _LONGER(robot, extension_m) if extension_m else robot
 
 
+def tcp_at(robot: Robot, tool_extension_m: float, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:
+    """Return the world position of the TCP at a configuration [m], with the tool lengthened by `tool_extension_m`."""
+    return np.asarray(_TCP(with_tool(robot, float(tool_extension_m)), x))
+
+
 _TCP, _LONGER = jax.jit(tcp_position), jax.jit(lengthen_tool)
 
 
-def _begins(robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None):
-    """Return x_start and x_home of a `Scenario`."""
+def start_and_home(
+    robot: Robot, start: Sequence[float] | Anywhere | None, home: Sequence[float] | Anywhere | None
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Return x_start and x_home of a `Scenario` [rad or m], see `make_scenario`.
+
+    Raises:
+        InputError: For a start or home of the wrong length or outside the joint limits.
+    """
     if start is None and home is None:
         anywhere = np.clip(np.zeros(len(robot.joint_names)), robot.lower, robot.upper)
         return anywhere, np.full_like(anywhere, np.nan)
@@ -203,13 +261,17 @@ def _start_configuration(robot: Robot, positions: Sequence[float] | Anywhere, wh
     return x
 
 
-def _check_reach(robot: Robot, targets: np.ndarray) -> None:
-    base, longest = np.asarray(robot.T_parent_joint)[0, :3, 3], max_reach(robot)
-    far = np.linalg.norm(targets - base, axis=1)
-    beyond = np.flatnonzero(far > longest)
-    if len(beyond):
-        first, others = beyond[0], f", {len(beyond) - 1} other targets are too far, too" if len(beyond) > 1 else ""
-        raise OutOfReach(
-            f"target {first} is {far[first]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
-            f"{others}"
-        )
+def _distances(robot: Robot, targets: Float[np.ndarray, "*S T 3"]) -> Float[np.ndarray, "*S T"]:
+    """Return the distances of targets from the robot's base [m]."""
+    return np.linalg.norm(targets - np.asarray(robot.T_parent_joint)[0, :3, 3], axis=-1)
+
+
+def _beyond_reach(robot: Robot, targets: Float[np.ndarray, "T 3"]) -> str:
+    """Return text that names the first target beyond reach."""
+    far, longest = _distances(robot, targets), max_reach(robot)
+    first, *more = np.flatnonzero(far > longest)
+    others = f", {len(more)} other targets are too far, too" if more else ""
+    return (
+        f"target {first} is {far[first]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+        f"{others}"
+    )

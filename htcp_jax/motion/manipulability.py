@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Scene
-from htcp_jax.device import Executor, lane_function
+from htcp_jax.device import Executor, devices, lane_function
 from htcp_jax.model import Robot, Task
 from htcp_jax.settings import Settings
 
@@ -50,7 +50,7 @@ def manipulability(
     found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
     if task.rows and known.any():
         lanes = _AtTarget(goals[known], np.broadcast_to(np.asarray(tool_extension_m, float), len(x))[known])
-        slopes = Executor(Scene(robot, (), task), Settings())(JACOBIAN, lanes, x[known])
+        slopes = Executor(Scene(robot, (), task), Settings(), threads=devices.cores())(JACOBIAN, lanes, x[known])
         found[known] = np.linalg.svd(slopes, compute_uv=False)[:, -1]
     return found
 
@@ -60,4 +60,5 @@ def _jacobian(settings, scene: Scene, lane: _AtTarget, x):
     return scene.task.linear_at(scene.robot, x, lane.target).jacobian
 
 
-JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, lane_function.STEP)
+SIZES = lane_function.STEP._replace(cpu=lane_function.BatchSize(4096, 1))  # a lane takes less time than a call
+JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, SIZES)

@@ -93,6 +93,7 @@ class Problem:
     checkers: tuple[CollisionChecker, ...] = ()  # one for each device, made with the problem
 
     def __post_init__(self):
+        object.__setattr__(self, "settings", self.settings.on(self.devices[0].platform))
         object.__setattr__(self, "scenarios", jax.tree.map(_read_only, self.scenarios))
         if not self.checkers:
             object.__setattr__(self, "checkers", self._new_checkers())

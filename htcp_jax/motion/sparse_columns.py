@@ -56,10 +56,17 @@ class ViaPoints(NamedTuple):
         """Return the via points of some scenarios, which are renumbered in the order of `which`."""
         if not len(self.scenario) or not len(which):
             return ViaPoints.none(self.x.shape[1])
-        found = [(new, np.flatnonzero(self.scenario == old)) for new, old in enumerate(which.tolist())]
-        picked = np.concatenate([rows for _, rows in found]).astype(int)
-        numbers = np.repeat([new for new, _ in found], [len(rows) for _, rows in found])
-        return ViaPoints(numbers.astype(np.int32), self.target[picked], self.x[picked], self.share[picked])
+        first, last = (np.searchsorted(self.scenario, which, side) for side in ("left", "right"))
+        numbers = np.repeat(np.arange(len(which), dtype=np.int32), last - first)
+        before = np.cumsum(last - first) - (last - first)  # via points of the scenarios before each one
+        picked = np.arange(len(numbers)) + np.repeat(first - before, last - first)
+        return ViaPoints(numbers, self.target[picked], self.x[picked], self.share[picked])
+
+    def counts(self, scenario: Int[np.ndarray, "n"], target: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        """Return the number of via points on each of n segments."""
+        width = 1 + max(self.target.max(initial=0), target.max(initial=0))
+        own, places = self.scenario.astype(int) * width + self.target, scenario * width + target
+        return np.searchsorted(own, places, "right") - np.searchsorted(own, places)
 
     def on_segment(self, scenario: int, target: int) -> Float[np.ndarray, "k N"]:
         """Return the via points on the segment to one target."""

@@ -84,7 +84,7 @@ def search_identity(spec: Sweep, batch: Batch, **options: Any) -> dict[str, Any]
     Raises:
         InputError: If an input file cannot be read.
     """
-    run = sweep.requested_manifest(spec, batch, (), None, 1)
+    run = sweep.requested_manifest(spec, batch, (), None)
     return identity(run.config, run.grid, run.dtype, run.files) | options | {"code": run.code}
 
 

@@ -15,13 +15,7 @@ from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
-
-
-class Shard(NamedTuple):
-    """A unit of work: one method on a block of consecutive scenarios."""
-
-    method: str
-    span: Span
+from htcp_jax.runs.shards import Shard, ShardSizes
 
 
 class PlannedShard(NamedTuple):
@@ -32,22 +26,26 @@ class PlannedShard(NamedTuple):
     by: dict
 
 
-def plan_here(batch: Batch, execution: Execution, shards: Sequence[Shard], report: Callable) -> Iterator[PlannedShard]:
-    """Plan shards one by one, and yield the plans of each.
+def plan_here(
+    batch: Batch, execution: Execution, sizes: ShardSizes, missing: Sequence[Shard], report: Callable
+) -> Iterator[PlannedShard]:
+    """Plan the missing scenarios shard by shard, and yield the plans of each shard.
 
     Args:
         batch: The scenarios of the sweep.
-        execution: Devices, threads and processes. If `targets_in_all` is None, it is that of the given shards.
-        shards: The shards to plan.
+        execution: Devices, threads and processes. If `targets_in_all` is None, it is that of all missing scenarios.
+        sizes: Sizes of the shards.
+        missing: The scenarios to plan.
         report: Function that is called while a shard is planned, with the method and the shard's `batch.Progress`. An
             exception that it raises ends the planning.
     """
-    by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in shards))
-    targets = execution.targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in shards)
+    by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in missing))
+    targets = execution.targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in missing)
     execution = replace(execution, targets_in_all=targets, warm_up=methods)
-    for shard in shards:
+    for shard in sizes.cut(missing):
         plans = plan_cells(batch.cells, *scenarios_of(batch, shard.span), shard.method, execution, report)
         execution = replace(execution, warm_up=())  # all are compiled
+        sizes.note(shard, plans.run_s)
         yield PlannedShard(shard, plans, by)
 
 

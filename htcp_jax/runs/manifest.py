@@ -1,5 +1,7 @@
 """Schema of manifest.json in a run folder: the run's identity, and its finished files."""
 
+import re
+from collections.abc import Collection
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
@@ -64,7 +66,7 @@ class Manifest(strict_model.FileSection):
     full: Scenarios  # number of scenarios in the complete grid
     limit: int | None  # requested maximum number of scenarios; None: all
     count: Scenarios  # number of scenarios to plan, the first ones of the grid
-    shard_scenarios: Annotated[int, Field(gt=0)]
+    shard_scenarios: Annotated[int | None, Field(exclude=True)] = None  # without effect; written by older versions
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method
     planned_by: tuple[dict[str, Any], ...] = ()  # provenance of shards: commit, versions, device
@@ -75,16 +77,14 @@ class Manifest(strict_model.FileSection):
     def _agrees_with_itself(self) -> "Manifest":
         if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
             raise ValueError("config_hash does not match the contents")
-        seen = set()
-        for shard in self.shards:
-            place = shard.method, shard.first
-            last = min(shard.first + self.shard_scenarios, self.count) - 1
+        ends: dict[str, int] = {}
+        for shard in sorted(self.shards, key=lambda shard: shard.first):
             known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
-            if not known or shard.first % self.shard_scenarios or shard.last != last or place in seen:
+            if not (known and ends.get(shard.method, -1) < shard.first <= shard.last < self.count):
                 raise ValueError(f"a shard of {shard.method} does not fit into the run")
-            if shard.scenarios.rows != last - shard.first + 1 or shard.tracked > shard.targets.rows:
+            if shard.scenarios.rows != shard.last - shard.first + 1 or shard.tracked > shard.targets.rows:
                 raise ValueError(f"a shard of {shard.method} has an impossible number of rows")
-            seen.add(place)
+            ends[shard.method] = shard.last
         return self
 
 
@@ -95,12 +95,19 @@ class Span(NamedTuple):
     last: int
 
 
-def spans(manifest: Manifest) -> list[Span]:
-    """Return the ranges of scenarios into which a run is divided, one per shard of a method."""
-    step, count = manifest.shard_scenarios, manifest.count
-    return [Span(first, min(first + step, count) - 1) for first in range(0, count, step)]
+def missing_spans(manifest: Manifest, method: str) -> list[Span]:
+    """Return the ranges of scenarios that a method has not planned yet, in order."""
+    known = sorted((shard.first, shard.last) for shard in manifest.shards if shard.method == method)
+    firsts, lasts = [0, *(last + 1 for _, last in known)], [*(first - 1 for first, _ in known), manifest.count - 1]
+    return [Span(first, last) for first, last in zip(firsts, lasts, strict=True) if first <= last]
 
 
 def shard_name(method: str, span: Span) -> str:
     """Return the name of a shard's files, the same in both folders of tables."""
     return f"{method}-{span.first:06d}-{span.last:06d}.parquet"
+
+
+def is_shard_name(name: str, methods: Collection[str]) -> bool:
+    """Return True for names that `shard_name` returns for one of the methods."""
+    found = re.fullmatch(r"(.+)-\d{6,}-\d{6,}\.parquet", name)
+    return found is not None and found[1] in methods

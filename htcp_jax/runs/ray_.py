@@ -24,8 +24,9 @@ from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import registry
-from htcp_jax.runs.local import PlannedShard, Shard, plan_cells, scenarios_of
+from htcp_jax.runs.local import PlannedShard, plan_cells, scenarios_of
 from htcp_jax.runs.provenance import planned_by
+from htcp_jax.runs.shards import Shard, ShardSizes
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import config as configs
 
@@ -37,12 +38,13 @@ GPU_SHARE = 0.75  # share of a GPU's memory that JAX allocates by default
 
 
 @contextlib.contextmanager
-def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]:
-    """Connect to a Ray cluster and yield a function plan(shards, report), which yields the plans of each shard.
+def on_ray(batch: Batch, config: PlanConfig, sizes: ShardSizes, address: str) -> Iterator[Callable]:
+    """Connect to a Ray cluster and yield a function plan(missing, report), which yields the plans of each shard.
 
     Args:
         batch: The scenarios of the sweep.
         config: Configuration with the resources per shard, in its section `ray`.
+        sizes: Sizes of the shards.
         address: Address of the cluster; "": the cluster that Ray finds, or a new one on this machine.
 
     Raises:
@@ -66,7 +68,7 @@ def on_ray(batch: Batch, config: PlanConfig, address: str) -> Iterator[Callable]
         raise InputError(f"cannot reach Ray at {address or 'this machine'}: {' '.join(str(error).split())}") from None
     try:
         _refuse_missing_gpus(ray, config.ray)
-        yield lambda shards, report: _plan(ray, batch, config, shards, report)
+        yield lambda missing, report: _plan(ray, batch, config, sizes, missing, report)
     except Lost:
         ours = False  # no shutdown: after a node has died, it may end this process before the message is printed
         raise
@@ -125,8 +127,10 @@ def _on_host(cell: PlannerInputs) -> PlannerInputs:
     return cell._replace(robot=arrays[0], obstacles=arrays[1])
 
 
-def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report: Callable) -> Iterator[PlannedShard]:
-    """Plan shards on the cluster, and yield the plans of each shard when it is finished.
+def _plan(
+    ray, batch: Batch, config: PlanConfig, sizes: ShardSizes, missing: Sequence[Shard], report: Callable
+) -> Iterator[PlannedShard]:
+    """Plan the missing scenarios on the cluster, and yield the plans of each shard when it is finished.
 
     More tasks are queued than the cluster can run, so that workers are never idle and the cluster may scale up. The
     slowest methods (the last ones in `registry.names`) start first, so that all workers finish at about the same time.
@@ -138,7 +142,7 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
         runtime_env={"env_vars": _environment(config.ray)},
     )
     names = registry.names()
-    left, running = iter(sorted(shards, key=lambda shard: -names.index(shard.method))), {}
+    left, running = sizes.cut(sorted(missing, key=lambda shard: -names.index(shard.method))), {}
     try:
         cells = [ray.put(_on_host(cell)) for cell in batch.cells]
         while True:
@@ -159,7 +163,9 @@ def _plan(ray, batch: Batch, config: PlanConfig, shards: Sequence[Shard], report
                 running.clear()
                 raise Lost("Ray lost its workers (no node is left)")
             for ref in done:
-                yield PlannedShard(running.pop(ref), *ray.get(ref))
+                shard, (plans, by) = running.pop(ref), ray.get(ref)
+                sizes.note(shard, plans.run_s)
+                yield PlannedShard(shard, plans, by)
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None  # the exception of the planner on the worker
     except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a dead node

@@ -38,8 +38,8 @@ from htcp_jax.runs.manifest import (
     Seconds,
     ShardRecord,
     Span,
+    missing_spans,
     shard_name,
-    spans,
 )
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
@@ -201,9 +201,8 @@ class Run:
         return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
     def missing(self, method: str) -> list[Span]:
-        """Return the ranges of scenarios that a method has not planned yet, one per missing shard."""
-        there = {(shard.first, shard.last) for shard in self.manifest.shards if shard.method == method}
-        return [span for span in spans(self.manifest) if span not in there]
+        """Return the ranges of scenarios that a method has not planned yet, in order."""
+        return missing_spans(self.manifest, method)
 
     def shard_files(self, shard: ShardRecord) -> dict[str, tuple[Path, FileRecord]]:
         """Return the two files of a shard with their records, by name of their tables."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.motion import Plans
-from htcp_jax.runs.manifest import Seconds, Span, spans
+from htcp_jax.runs.manifest import Seconds, Span
 from htcp_jax.runs.run_folder import Run
 
 
@@ -57,5 +57,6 @@ class RunningSummary:
 
     def _known(self, run: Run, method: str) -> list[FinishedShard] | None:
         """Return the shards of one method, in order; None if any of them is not in memory."""
-        found = [self._shards.get((method, span)) for span in spans(run.manifest)]
-        return None if None in found else found
+        own = sorted((shard.first, shard.last) for shard in run.manifest.shards if shard.method == method)
+        found = [self._shards.get((method, Span(*span))) for span in own]
+        return None if None in found or run.missing(method) else found

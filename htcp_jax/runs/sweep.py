@@ -4,7 +4,8 @@
     run.frame()
 
 A shard is one method on a block of scenarios, which are planned together. It is the unit of work of a worker: if a
-process dies, only its unfinished shard is lost. Results do not depend on the size of shards or on the machine. To
+process dies, only its unfinished shard is lost. Shards grow until one takes about a minute, see `shards`. A thread
+writes each shard while the next one is planned. Results do not depend on the size of shards or on the machine. To
 continue an interrupted sweep, repeat the same call.
 """
 
@@ -14,43 +15,29 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-import pyarrow as pa
-from jaxtyping import Float
-
+from htcp_jax.backend import default_device
 from htcp_jax.device import devices
-from htcp_jax.device import tables as device_tables
 from htcp_jax.errors import InputError, Interrupted, Lost
 from htcp_jax.jobs import Batch, Sweep, grid_axes, load_sweep, seeded
-from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
+from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
-from htcp_jax.runs.local import Shard, plan_here, scenarios_of
-from htcp_jax.runs.manifest import Manifest, Span, spans
+from htcp_jax.runs.local import plan_here
+from htcp_jax.runs.manifest import Manifest
 from htcp_jax.runs.provenance import code_of, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
-from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
+from htcp_jax.runs.shards import Shard, ShardSizes
+from htcp_jax.runs.tables import joint_columns
+from htcp_jax.runs.written_run import SweepProgress, WrittenRun, tables
 from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import SignalReceived, locked, output_files, signals, stop_message, temporary_folder
-
-SHARD_SCENARIOS = 512  # default size of a shard, equal on every machine; smaller shards leave lanes unused
-
-
-class SweepProgress(NamedTuple):
-    """Progress of one method, counted over all its shards in the run."""
-
-    method: str
-    scenarios_done: int
-    scenarios: int
-    targets_tracked: int
-    targets: int
 
 
 def sweep(
@@ -83,7 +70,7 @@ def sweep(
         progress: Function that is called with the `SweepProgress` of a method while it advances.
         finished: Function that is called with each shard after it has been written.
         threads: Number of engines per process, see `Execution`.
-        shard_scenarios: Number of scenarios per shard; None: SHARD_SCENARIOS. A folder with results keeps its number.
+        shard_scenarios: Number of scenarios per shard; None: as many as are planned in about a minute.
         on: "here" plans on this machine, in several processes if that is faster. "ray" or `"ray:<address>"` sends
             the shards to the workers of a Ray cluster, see `ray_`.
         device: Device to plan on, such as "cpu"; None: a GPU if there is one. With Ray it must be None or "cpu".
@@ -94,7 +81,8 @@ def sweep(
         Interrupted: On SIGINT or SIGTERM; finished shards are kept in the folder.
         Lost: If workers are lost; finished shards are kept in the folder.
     """
-    with devices.on(devices.choose(device_of(on, device))[0]):
+    first = devices.choose(device_of(on, device))[0]
+    with devices.on(first):
         chosen = method_names(methods)
         if isinstance(spec, Sweep):
             if config is not None or overrides or seed is not None:
@@ -104,41 +92,46 @@ def sweep(
         for name, value in (("limit", limit), ("shard_scenarios", shard_scenarios)):
             if value is not None and not 1 <= value <= grid_axes.MOST:
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
+        platform = "gpu" if on != "here" and spec.config.ray.num_gpus else first.platform
+        spec = spec.on(platform)
         batch = spec.batch(limit)
-        requested = requested_manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+        requested = requested_manifest(spec, batch, chosen, limit)
+        cores = devices.cores() if on == "here" else max(1, int(spec.config.ray.num_cpus))
+        sizes = ShardSizes.on(platform, cores, batch.scenarios.targets.shape[1])
+        if shard_scenarios is not None:
+            sizes = ShardSizes(shard_scenarios, shard_scenarios)
         execution = Execution(device, threads, targets_in_all=targets_in_all)
-        planned = _planner(on, chosen, batch, spec, execution)
+        planned = _planner(on, chosen, batch, spec, execution, sizes)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
-            run = writer.begin(folder, requested, keep)
+            written = WrittenRun(writer.begin(folder, requested, keep), batch, first, finished)
 
             def stopped() -> str:
                 discard()
-                return _resume_message(run)
+                return _resume_message(written.run)
 
             def report_progress(method: str, shard: ShardProgress | None = None) -> None:
                 if came:
                     raise SignalReceived
+                written.refuse_failure()
                 if progress is not None:
-                    progress(_progress(run.manifest, method, shard))
+                    progress(written.progress(method, shard))
 
             try:
-                with stop_message(stopped):
-                    shards = [Shard(method, span) for method in chosen for span in run.missing(method)]
+                with stop_message(stopped), written:
+                    missing = [Shard(method, span) for method in chosen for span in written.run.missing(method)]
                     for method in chosen:
                         report_progress(method)
-                    for (method, span), plans, by in plan(shards, report_progress):
-                        rows = tables(batch, method, span, plans)
-                        run = writer.add(run, method, span, rows, plans, by)
-                        if finished is not None:
-                            finished(FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy()))
-                        report_progress(method)
+                    for each in plan(missing, report_progress):
+                        written.add(each)
+                        report_progress(each.shard.method)
+                    written.wait()
             except SignalReceived:
-                raise Interrupted(_resume_message(run), came[0]) from None
+                raise Interrupted(_resume_message(written.run), came[0]) from None
             except Lost as lost:
                 if came:  # the workers ended because they received the signal, too
-                    raise Interrupted(_resume_message(run), came[0]) from None
-                raise Lost(f"{lost}; {_resume_message(run)}") from None
-            return run
+                    raise Interrupted(_resume_message(written.run), came[0]) from None
+                raise Lost(f"{lost}; {_resume_message(written.run)}") from None
+            return written.run
 
 
 def device_of(on: str, device: str | None) -> str | None:
@@ -160,8 +153,8 @@ def device_of(on: str, device: str | None) -> str | None:
     return "cpu"
 
 
-def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = SHARD_SCENARIOS) -> Run:
-    """Write existing plans as a run, and return the run. Existing files in `out` are deleted.
+def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_scenarios: int = grid_axes.MOST) -> Run:
+    """Write plans made on the default device as a run, and return the run. Existing files in `out` are deleted.
 
     Args:
         spec: The sweep.
@@ -172,14 +165,15 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
     Raises:
         InputError: If the folder cannot be written.
     """
+    spec = spec.on(default_device().platform)
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with output_files.made_folder(folder):
-        run = writer.begin(folder, requested_manifest(spec, batch, tuple(plans), None, shard_scenarios))
-        for method, found in plans.items():
-            for span in spans(run.manifest):
-                own = found.rows(slice(span.first, span.last + 1))
-                run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
+        run = writer.begin(folder, requested_manifest(spec, batch, tuple(plans), None))
+        missing = [Shard(method, span) for method in plans for span in run.missing(method)]
+        for method, span in ShardSizes(shard_scenarios, shard_scenarios).cut(missing):
+            own = plans[method].rows(slice(span.first, span.last + 1))
+            run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
     return run
 
 
@@ -207,46 +201,7 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
-    """Return the rows of a shard in the tables of targets and of scenarios, by name of the table."""
-    rows = slice(span.first, span.last + 1)
-    joints, points = joint_columns(batch.robot), batch.points[rows]
-    varied = tuple(points[0].varied)
-    numbers = np.array([point.number for point in points])
-    return {
-        "targets": target_table(method, numbers, plans, joints, _manipulability(batch, span, plans)),
-        "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, span, plans)),
-    }
-
-
-def _manipulability(batch: Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
-    """Return the manipulability at each target of a shard's scenarios [m/rad]; NaN at targets that are not tracked."""
-    (cell, scenarios), found = scenarios_of(batch, span), np.full(plans.status.shape, np.nan)
-    s, t = np.nonzero(plans.tracked)
-    for number in np.unique(cell[s]).tolist():
-        own, here = batch.cells[number], cell[s] == number
-        where = s[here], t[here]
-        goals, longer = np.asarray(scenarios.goals)[where], np.asarray(scenarios.tool_extension_m)[where[0]]
-        found[where] = manipulability.manipulability(own.robot, own.task, plans.x[where], goals, longer)
-    return found
-
-
-def _causes(batch: Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
-    """Return the reasons why scenarios of a shard could not begin, by index in the shard; others are not included."""
-    found: dict[int, start_cause.StartCause] = {}
-    (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
-    for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
-        own, rows = batch.cells[number], np.flatnonzero(cell == number)
-        some, execution = device_tables.gather(scenarios, rows), Execution(threads=1)
-        problem = Problem(own.robot, own.workpiece, some, own.settings, own.task, own.obstacles, execution)
-        causes = start_cause.start_causes(problem, status[rows], rounds=1)
-        found |= {int(rows[s]): cause for s, cause in causes.items()}
-    return found
-
-
-def requested_manifest(
-    spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
-) -> Manifest:
+def requested_manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None) -> Manifest:
     """Return the manifest of a requested run; it contains no shards yet."""
     config = spec.config.model_dump(mode="json")
     grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
@@ -274,7 +229,6 @@ def requested_manifest(
         limit=limit,
         count=len(batch.points),
         code=_code(spec, methods),
-        shard_scenarios=shard_scenarios,
         methods=methods,
     )
 
@@ -286,33 +240,27 @@ def _code(spec: Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     return code_of(registry.METHODS, methods) | kinds | rows
 
 
-def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, execution: Execution):
-    """Return a context manager that yields plan(shards, report), which yields a `PlannedShard` for each shard."""
+def _planner(
+    on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, execution: Execution, sizes: ShardSizes
+) -> contextlib.AbstractContextManager[Callable]:
+    """Return a context manager that yields plan(missing, report), which yields a `PlannedShard` for each shard."""
     if on == "here":
-        return contextlib.nullcontext(partial(plan_here, batch, execution))
+        return contextlib.nullcontext(partial(plan_here, batch, execution, sizes))
     from htcp_jax.runs.ray_ import on_ray  # here, as Ray is an optional dependency
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
     TASK_ROWS.refuse_own(row.name for row in spec.config.task)
-    return on_ray(batch, spec.config, on.partition(":")[2])
-
-
-def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> SweepProgress:
-    """Return the progress of a method, from its finished shards and the progress of the current one."""
-    kept = [record for record in manifest.shards if record.method == method]
-    done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
-    done += sum(record.last - record.first + 1 for record in kept)
-    tracked += sum(record.tracked for record in kept)
-    return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
+    return on_ray(batch, spec.config, sizes, on.partition(":")[2])
 
 
 def _resume_message(run: Run) -> str:
     manifest = run.manifest
-    there, all_ = len(manifest.shards), len(manifest.methods) * len(spans(manifest))
-    if not there:
+    done = sum(shard.last - shard.first + 1 for shard in manifest.shards)
+    if not done:
         return "stopped before anything was finished; nothing was written"
-    return f"stopped; {there} of {all_} shards are finished in {run.folder}; run the same command to resume"
+    all_ = len(manifest.methods) * manifest.count
+    return f"stopped; {done:,} of {all_:,} plans are finished in {run.folder}; run the same command to resume"
 
 
 class _Scratch:

@@ -3,7 +3,7 @@
 The module `columns` describes the columns. The tables contain no run times, so that equal plans give equal files.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -64,35 +64,36 @@ def target_table(
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
     columns = {
-        "method": pa.array([method] * len(s), pa.string()),
+        "method": pa.repeat(pa.scalar(method, pa.string()), len(s)),
         "scenario": pa.array(numbers[s], pa.int32()),
         "target": pa.array(t, pa.int32()),
         "tracked": pa.array(plans.tracked[s, t]),
-        "status": pa.array([Status(code).name for code in status.tolist()], pa.string()),
+        "status": _names(status, {int(code): code.name for code in Status}),
         "clearance_m": _doubles(plans.clearance[s, t]),
         "residual_m": _doubles(plans.residual[s, t]),
         "orientation_error_rad": _doubles(plans.orientation_error[s, t]),
         "iterations": pa.array(plans.iterations[s, t], pa.int32()),
         "joint_step_rad": _doubles(plans.joint_step[s, t]),
         "path_clear": pa.array(path_clear == 1, pa.bool_(), mask=path_clear < 0),
-        "segment_status": pa.array(
-            [_segment_status_name(code) for code in plans.segment_status[s, t].tolist()], pa.string()
+        # NOT_CHECKED is null
+        "segment_status": _names(
+            plans.segment_status[s, t], {code: name for name, code in reversed(SEGMENT_STATUSES.items())}
         ),
         "segment_clearance_m": _doubles(plans.segment_clearance[s, t]),
-        "via_points": _via_point_column(plans, s, t, plans.via_points.on_segment),
+        "via_points": _via_point_column(plans.via_points, s, t, plans.via_points.x),
         "recovery": pa.array(plans.recovery[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
-    columns[SHARES] = _via_point_column(plans, s, t, plans.via_points.shares_on)
+    columns[SHARES] = _via_point_column(plans.via_points, s, t, plans.via_points.share[:, None])
     unknown = np.full(len(s), np.nan)
     columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
     ends, tried = plans.dead_ends, np.full((*plans.exists.shape, len(TRIED)), -1)
     tried[ends.scenario, ends.target] = np.stack(ends[2:], axis=-1)
     *numbers, reasons = tried[s, t].T
     columns |= {name: pa.array(at, pa.int32(), mask=at < 0) for name, at in zip(TRIED[:-1], numbers, strict=True)}
-    columns[TRIED[-1]] = pa.array([Exclusion(k).words if k > 0 else None for k in reasons.tolist()], pa.string())
+    columns[TRIED[-1]] = _names(reasons, {-1: None} | {int(reason): name for name, reason in EXCLUSIONS.items()})
     return pa.table(columns)
 
 
@@ -256,26 +257,32 @@ def _segment(scenario: int, target: int, x: list[float], share: list[float] | No
     return scenario, target, found, shares
 
 
-def _segment_status_name(code: int) -> str | None:
-    return None if code == SegmentStatus.NOT_CHECKED else SegmentStatus(code).name
+def _names(codes: np.ndarray, names: Mapping[int, str | None]) -> pa.Array:
+    """Return the names of codes; null if a code's name is None."""
+    known = sorted(names)
+    place = pa.array(np.searchsorted(known, codes), pa.int32())
+    return pa.DictionaryArray.from_arrays(place, pa.array([names[code] for code in known], pa.string())).cast(
+        pa.string()
+    )
 
 
 def _via_point_column(
-    plans: Plans, s: np.ndarray, t: np.ndarray, on_segment: Callable[[int, int], np.ndarray]
+    via_points: ViaPoints, s: np.ndarray, t: np.ndarray, values: Float[np.ndarray, "n k"]
 ) -> pa.Array:
-    """Return a column with one list per row, of values at the via points on the segment to this row.
+    """Return a column with one list per row, of values at the via points on the segment to this row; null for none.
 
     Args:
-        plans: The plans.
-        s: Scenario of each row.
+        via_points: The via points.
+        s: Scenario of each row; the rows are sorted by scenario and target, and have all segments with via points.
         t: Target of each row.
-        on_segment: Function (scenario, target) that returns the values, which are flattened.
+        values: Values at each via point, which are flattened.
     """
     kind = pa.list_(pa.float64())
-    if not len(plans.via_points.x):
+    if not len(values):
         return pa.nulls(len(s), kind)
-    lists = [on_segment(*row).ravel().tolist() or None for row in zip(s.tolist(), t.tolist(), strict=True)]
-    return pa.array(lists, kind)
+    counts = via_points.counts(s, t)
+    ends = pa.array(np.append(0, np.cumsum(counts) * values.shape[1]), pa.int32())
+    return pa.ListArray.from_arrays(ends, pa.array(values.ravel()), mask=pa.array(counts == 0))
 
 
 def _starts(scenarios: pa.Table, count: int, joints: Sequence[str]) -> np.ndarray:

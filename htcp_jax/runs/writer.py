@@ -13,7 +13,17 @@ from htcp_jax.io import arrays
 from htcp_jax.motion import Plans
 from htcp_jax.runs.columns import described
 from htcp_jax.runs.identity import identity, identity_differences
-from htcp_jax.runs.manifest import MANIFEST, TABLES, FileRecord, Manifest, Seconds, ShardRecord, Span, shard_name, spans
+from htcp_jax.runs.manifest import (
+    MANIFEST,
+    TABLES,
+    FileRecord,
+    Manifest,
+    Seconds,
+    ShardRecord,
+    Span,
+    is_shard_name,
+    shard_name,
+)
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, file_fault, open_run
 from htcp_jax.system import files as io_files
@@ -22,7 +32,8 @@ from htcp_jax.system import files as io_files
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     """Create the requested run in a folder, or continue it, and return the run with its finished shards.
 
-    Shards with a damaged file are dropped, so that they are planned again. One warning per method reports them.
+    Shards with a damaged file are dropped, so that they are planned again. One warning per method reports them. Their
+    files, and those of a shard that a killed process did not finish, are deleted.
 
     Args:
         folder: The run folder.
@@ -44,14 +55,16 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     _refuse_other(old, requested)
     _refuse_other_code(old, requested)
     _warn_of_other_software(old)
-    kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by", "shard_scenarios")}
+    kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by")}
     methods = tuple(dict.fromkeys((*old.methods, *requested.methods)))
     kept |= {"methods": methods, "code": old.manifest.code | requested.code}
     run = Run(folder, requested.model_copy(update=kept), keep)
-    expected = {shard_name(method, span) for method in methods for span in spans(run.manifest)}
     shards = _valid_shards(run, requested.methods)
-    for stranger in _unlisted(folder, expected):
-        warnings.warn(f"{stranger} does not belong to this run and is left unchanged", stacklevel=3)
+    for file in _unlisted(folder, {shard_name(shard.method, Span(shard.first, shard.last)) for shard in shards}):
+        if is_shard_name(file.name, methods):
+            file.unlink(missing_ok=True)
+        else:
+            warnings.warn(f"{file} does not belong to this run and is left unchanged", stacklevel=3)
     return _write_manifest(_with_shards(run, shards))
 
 
@@ -114,17 +127,11 @@ def _identity(manifest: Manifest) -> dict:
 
 
 def _valid_shards(run: Run, requested: tuple[str, ...]) -> tuple[ShardRecord, ...]:
-    """Return the recorded shards whose files are valid; warn of damaged ones.
-
-    If the limit has grown, the files of a partial last shard are deleted.
-    """
-    known, whole, damaged = set(spans(run.manifest)), [], defaultdict(list)
+    """Return the recorded shards whose files are valid; warn of damaged ones."""
+    whole, damaged = [], defaultdict(list)
     for shard in run.manifest.shards:
         files = run.shard_files(shard).values()
-        if (shard.first, shard.last) not in known:
-            for file, _ in files:
-                file.unlink(missing_ok=True)
-        elif faults := [f"{file} {problem}" for file, record in files if (problem := file_fault(file, record))]:
+        if faults := [f"{file} {problem}" for file, record in files if (problem := file_fault(file, record))]:
             damaged[shard.method].append((shard, faults[0]))
         else:
             whole.append(shard)

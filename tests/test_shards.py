@@ -1,0 +1,45 @@
+"""Sizes of a sweep's shards."""
+
+from itertools import pairwise
+
+import pytest
+
+from htcp_jax.runs.manifest import Span
+from htcp_jax.runs.shards import MOST_TARGETS, SHARD_S, Shard, ShardSizes
+
+
+def planned(sizes: ShardSizes, missing: list[Shard], scenario_s: float) -> list[Shard]:
+    """The shards, if every scenario takes `scenario_s` seconds."""
+    found = []
+    for shard in sizes.cut(missing):
+        found.append(shard)
+        sizes.note(shard, scenario_s * shard.count)
+    return found
+
+
+@pytest.mark.parametrize("scenario_s", [1e-4, 0.1, 0.5, 3.0])
+def test_shards_grow_until_one_takes_a_minute(scenario_s):
+    sizes = ShardSizes.on("cpu", 2, 105)
+    shards = planned(sizes, [Shard("beam", Span(0, 2999))], scenario_s)
+    counts = [shard.count for shard in shards]
+    assert counts[0] == 16 and sum(counts) == 3000
+    assert all(later <= 8 * count for count, later in pairwise(counts))
+    assert max(counts[1:]) * scenario_s <= SHARD_S
+    assert len(counts) < 8 or min(counts[3:-1]) * scenario_s > 0.9 * SHARD_S
+
+
+def test_every_missing_scenario_is_in_one_shard_and_each_method_has_its_own_size():
+    missing = [Shard("beam", Span(3, 5)), Shard("beam", Span(40, 99)), Shard("baseline", Span(0, 99))]
+    shards = planned(ShardSizes(4, 1000), missing, 1.0)
+    for method in ("beam", "baseline"):
+        numbers = [k for name, span in shards if name == method for k in range(span.first, span.last + 1)]
+        assert numbers == [k for name, span in missing if name == method for k in range(span.first, span.last + 1)]
+    assert [shard.count for shard in shards] == [3, 24, 36, 4, 32, 60, 4]
+
+
+def test_on_a_gpu_shards_are_large_from_the_first_one_however_long_they_take():
+    sizes = ShardSizes.on("gpu", 16, 105)
+    shards = planned(sizes, [Shard("beam", Span(0, 29_999))], 1.0)
+    assert {shard.count for shard in shards[:-1]} == {MOST_TARGETS // 105}
+    huge = ShardSizes.on("gpu", 16, 2 * MOST_TARGETS)
+    assert [shard.count for shard in huge.cut([Shard("beam", Span(0, 1))])] == [1, 1]
