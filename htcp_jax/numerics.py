@@ -237,15 +237,18 @@ def one_by_one(function: Callable) -> Callable:
     def batch(axis_size, in_batched, shared, *arguments):
         if any(jax.tree.leaves(in_batched[0])):
             raise ValueError("the searched arrays must be the same for all lanes")
-        every = jax.tree.map(
-            lambda a, batched: a if batched else jnp.broadcast_to(a, (axis_size, *a.shape)),
-            list(arguments),
-            list(in_batched[1:]),
-        )
+        leaves, structure = jax.tree.flatten(arguments)
+        batched = jax.tree.leaves(in_batched[1:])
+
+        def lane(own):
+            own = iter(own)
+            return alone(shared, *structure.unflatten(next(own) if b else a for a, b in zip(leaves, batched)))
+
         if backend().is_cpu:
-            found = jax.lax.map(lambda lane: alone(shared, *lane), every)
+            found = jax.lax.map(lane, [a for a, b in zip(leaves, batched, strict=True) if b])
         else:
-            found = jax.vmap(partial(function, shared))(*every)
+            every = (a if b else jnp.broadcast_to(a, (axis_size, *a.shape)) for a, b in zip(leaves, batched))
+            found = jax.vmap(partial(function, shared))(*structure.unflatten(every))
         return found, jax.tree.map(lambda _: True, found)
 
     return alone

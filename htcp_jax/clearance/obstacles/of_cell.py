@@ -58,9 +58,9 @@ class PlacedCloud(Obstacle):
         """Return the smallest distance of all bodies [m]."""
         return self.cloud.smallest(*self._seen(robot, where, bodies))
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any distance is 0 or less."""
-        return self.cloud.touches(*self._seen(robot, where, bodies))
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return a distance below the limit [m], if there is one."""
+        return self.cloud.any_below(*self._seen(robot, where, bodies), limit_m)
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return each body's distance [m]: it is a free radius, as the cloud does not move."""
