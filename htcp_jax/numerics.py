@@ -238,17 +238,21 @@ def one_by_one(function: Callable) -> Callable:
         if any(jax.tree.leaves(in_batched[0])):
             raise ValueError("the searched arrays must be the same for all lanes")
         leaves, structure = jax.tree.flatten(arguments)
-        batched = jax.tree.leaves(in_batched[1:])
+        is_batched = jax.tree.leaves(in_batched[1:])
 
         def lane(own):
             own = iter(own)
-            return alone(shared, *structure.unflatten(next(own) if b else a for a, b in zip(leaves, batched)))
+            every = [next(own) if b else leaf for leaf, b in zip(leaves, is_batched, strict=True)]
+            return alone(shared, *jax.tree.unflatten(structure, every))
 
         if backend().is_cpu:
-            found = jax.lax.map(lane, [a for a, b in zip(leaves, batched, strict=True) if b])
+            found = jax.lax.map(lane, [leaf for leaf, b in zip(leaves, is_batched, strict=True) if b])
         else:
-            every = (a if b else jnp.broadcast_to(a, (axis_size, *a.shape)) for a, b in zip(leaves, batched))
-            found = jax.vmap(partial(function, shared))(*structure.unflatten(every))
+            every = [
+                leaf if b else jnp.broadcast_to(leaf, (axis_size, *leaf.shape))
+                for leaf, b in zip(leaves, is_batched, strict=True)
+            ]
+            found = jax.vmap(partial(function, shared))(*jax.tree.unflatten(structure, every))
         return found, jax.tree.map(lambda _: True, found)
 
     return alone

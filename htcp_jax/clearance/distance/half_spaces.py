@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend, instance, kernel
 from htcp_jax.caching import cached_by_values
@@ -30,7 +31,7 @@ BLOCK = 256  # facets per block of the kernel
 class HalfSpaces(NamedTuple):
     """The convex set normal @ x <= offset with F facets and unit outward normals.
 
-    `core` has the C facets of its core, in 32-bit floats (normal xyz, offset). `table` has all F facets again, in 64-bit
+    `core` has the C facets of its core in 32-bit floats (normal xyz, offset). `table` has all F facets again in 64-bit
     floats, padded with the last one.
     """
 
@@ -71,7 +72,7 @@ def _core(vertices: np.ndarray) -> Float[np.ndarray, "C 4"]:
 
 
 def crossed_facets(
-    hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array, "n"], enough: float = np.inf
+    hull: HalfSpaces, points: Float[Array, "n 3"], requested: Bool[Array, "n"], enough: Float[ArrayLike, ""] = np.inf
 ) -> Int[Array, "n"]:
     """Return the facet that each point is furthest beyond; -1 for points inside the hull or not in `requested`.
 

@@ -19,7 +19,6 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import without_labels
 from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
 
-
 DECIDED_M = 1e-12  # [m]; a distance in 64-bit floats is wrong by less than this within 100 m of the origin
 
 

@@ -29,7 +29,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
 )
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import capsule_point_distance, one_by_one, value_and_jacobian, with_gradient
-from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar
+from htcp_jax.types import Bool, Float, Int, Joints, Scalar
 
 
 class ClearanceRows(NamedTuple):
@@ -133,27 +133,70 @@ def is_clear(
         margin_m: Required clearance [m], 0 or more.
         known: Contact at a similar configuration, which is measured first; ignored for an arm with pieces.
     """
-    x, bodies = kinematics.checked_configuration(robot, x), bodies_at(robot, where, x)
+    bodies = bodies_at(robot, where, kinematics.checked_configuration(robot, x))
     margin = jnp.asarray(margin_m, float)
     if backend().is_cpu:
-        return _is_clear_alone(obstacles, robot, where, x, bodies, margin, known)
+        return _is_clear_alone(obstacles, robot, where, bodies, margin, known)
     if robot.pieces is not None:
-        return _smallest_distance(x, robot, obstacles, where) > margin
-    return _together(jnp.minimum, [e.any_below(robot, where, bodies, margin + DECIDED_M) for e in obstacles]) > margin
+        return _smallest_of(robot, obstacles, where, bodies) > margin
+    limit = margin + DECIDED_M
+    return _together(jnp.minimum, [each.any_below(robot, where, bodies, limit) for each in obstacles]) > margin
 
 
 @one_by_one
-def _is_clear_alone(obstacles: Obstacles, robot: Robot, where, x, bodies: BodyAxes, margin, known) -> Bool[Array, ""]:
+def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, margin, known):
     limit, found = margin + DECIDED_M, jnp.full((), jnp.inf)
     capsules = replace(robot, pieces=None)  # a mesh is not nearer than its capsules
     if known is not None and robot.pieces is None:
         p, q = bodies.p[known.body], bodies.q[known.body]
         found = capsule_point_distance(p, q, known.radius, known.witness)
     for each in obstacles:
-        found = jax.lax.cond(found < limit, lambda d: d, lambda _, o=each: o.any_below(capsules, where, bodies, limit), found)
+        measure = lambda each=each: each.any_below(capsules, where, bodies, limit)  # noqa: E731
+        found = jax.lax.cond(found < limit, lambda found=found: found, measure)
     is_refuted = (found <= margin - DECIDED_M) & (robot.pieces is None)
-    exact = lambda: _smallest_distance(x, robot, obstacles, where) > margin  # noqa: E731
+    exact = lambda: _smallest_of(robot, obstacles, where, bodies) > margin  # noqa: E731
     return jax.lax.cond((found < limit) & ~is_refuted, exact, lambda: found >= limit)
+
+
+def clearance_where(
+    needed: Bool[jax.Array, ""],
+    robot: Robot,
+    obstacles: Obstacles,
+    where: HasWorkpiecePose,
+    x: Joints,
+    least_m: Float[ArrayLike, ""] | None = None,
+) -> Scalar:
+    """Return D(x, O) [m] if it is needed and, if `least_m` is given, at least `least_m`; else -inf.
+
+    On a CPU, other values are not computed.
+
+    Args:
+        needed: True if D is needed.
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `HasWorkpiecePose`.
+        x: The configuration [rad or m].
+        least_m: Smallest distance that is needed [m].
+    """
+    least = None if least_m is None else jnp.asarray(least_m, float)
+    if backend().is_cpu:
+        return _clearance_alone(obstacles, robot, where, x, needed, least)
+    D = _smallest_distance(x, robot, obstacles, where)
+    return jnp.where(needed if least is None else needed & (D >= least), D, -jnp.inf)
+
+
+@one_by_one
+def _clearance_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, x: Joints, needed, least):
+    def measured():
+        bodies = bodies_at(robot, where, x)
+        exact = lambda: _smallest_of(robot, obstacles, where, bodies)  # noqa: E731
+        if least is None:
+            return exact()
+        may_be = _is_clear_alone(obstacles, robot, where, bodies, least - 2 * DECIDED_M, None)
+        D = jax.lax.cond(may_be, exact, lambda: jnp.full((), -jnp.inf))
+        return jnp.where(D >= least, D, -jnp.inf)
+
+    return jax.lax.cond(needed, measured, lambda: jnp.full((), -jnp.inf))
 
 
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
@@ -172,7 +215,10 @@ def clearance_rows(
 
 
 def _smallest_distance(x: Joints, robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose) -> Scalar:
-    bodies = bodies_at(robot, where, x)
+    return _smallest_of(robot, obstacles, where, bodies_at(robot, where, x))
+
+
+def _smallest_of(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, bodies: BodyAxes) -> Scalar:
     obstacles = decide_together(robot, obstacles, where, bodies)
     return _together(jnp.minimum, [each.smallest(robot, where, bodies) for each in obstacles])
 

@@ -26,7 +26,7 @@ from htcp_jax.model import Fixture, PointCover, Robot, cover_mesh, thinnest_near
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Bool, Float, Pose, Scalar
+from htcp_jax.types import Float, Pose, Scalar
 
 
 class _PlacedFrame(NamedTuple):

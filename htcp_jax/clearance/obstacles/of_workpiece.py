@@ -17,10 +17,10 @@ from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, 
 from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.obstacle import (
+    DECIDED_M,
     BodyAxes,
     Contacts,
     HasWorkpiecePose,
-    DECIDED_M,
     Obstacle,
     Obstacles,
     in_workpiece,
