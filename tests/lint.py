@@ -57,7 +57,6 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "io": "each kind of file has a module or a package",
     "system": "each concern has functions of its own: files, locks, signals, the end of a process",
     "spec": "each thing that people write has a type, and its keys have choices",
-    "clearance": "distances, verdicts and contacts, and the types of the scene in which they are computed",
     "clearance.obstacles": "each kind of obstacle has a type and a function that makes it",
     "trajectory": "programs, their figures and the timing of plans and runs",
     "viewer": "pictures, movies and replays of plans, of runs and of programs",

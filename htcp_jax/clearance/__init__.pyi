@@ -9,15 +9,7 @@ from .obstacles.obstacle import (
     rows_of,
     surface_points,
 )
-from .obstacles.obstacles import (
-    ClearanceRows,
-    clearance,
-    clearance_where,
-    clearances,
-    contacts,
-    is_clear,
-    nearest_to,
-)
+from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
 
 __all__ = [
     "ClearanceRows",
@@ -27,7 +19,6 @@ __all__ = [
     "Scene",
     "by_pieces",
     "clearance",
-    "clearance_where",
     "clearances",
     "contacts",
     "in_workpiece",

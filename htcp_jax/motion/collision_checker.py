@@ -18,17 +18,7 @@ from htcp_jax.clearance.proof import ROUNDING_M, bisection, motion_proof
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import TCP_POSITION, Task
 from htcp_jax.motion.lane_inputs import LaneInputs
-from htcp_jax.motion.step_functions import (
-    ADVANCE,
-    CLEAR,
-    ON_TARGET,
-    PROVE,
-    SETTLE,
-    TIP,
-    ProofResolution,
-    State,
-    advance_of,
-)
+from htcp_jax.motion.step_functions import ADVANCE, CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
 from htcp_jax.numerics import ragged_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
@@ -60,10 +50,6 @@ class CollisionChecker:
     def states(self, inputs: LaneInputs, q: Configurations) -> State:
         """Return the states of configurations q at their targets: clearance, residual, TCP and linearisation."""
         return self.executor(ADVANCE, inputs, q, np.zeros_like(q))
-
-    def on_target(self, inputs: LaneInputs, q: Configurations) -> State:
-        """Return the states of configurations q without linearisation; clearance is -inf if q is not on its target."""
-        return self.executor(ON_TARGET, inputs, q)
 
     def stepped(self, inputs: LaneInputs, q: Configurations, y: Configurations) -> State:
         """Return the states after steps y [rad or m] from configurations q.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from htcp_jax.clearance import Scene, clearance_where, in_workpiece, is_clear
+from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise
 from htcp_jax.clearance.proof import bisection, motion_proof
 from htcp_jax.device import Loop, by_chunks, lane_function
@@ -107,13 +107,6 @@ def advance_smallest(settings: Settings, scene: Scene, lane: LaneInputs, x_ref, 
 def measured(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
     """Return the lane's state at x, linearised for the step QP."""
     return advance(settings, scene, lane, x, jnp.zeros_like(x), settings.clearance_rows == "smallest")
-
-
-def on_target(settings: Settings, scene: Scene, lane: LaneInputs, x) -> State:
-    """Return the lane's state at x without its linearisation; the clearance is -inf if x is not on the target."""
-    residual = scene.task.residual_at(scene.robot, x, lane.target)
-    clearance = clearance_where(scene.task.reached(residual), scene.robot, scene.obstacles, lane, x)
-    return State(x, clearance=clearance, residual=residual, tcp=kinematics.tcp_position(scene.robot, x))
 
 
 def empty_result(look: Callable, *arguments) -> Any:
@@ -238,7 +231,6 @@ TRACK_CHUNK = lane_function.LaneFunction(
     "track", track, lane_function.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance")
 )
 CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP)
-ON_TARGET = lane_function.LaneFunction("on_target", on_target, lane_function.STEP)
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)

@@ -55,7 +55,7 @@ def projected(problem: Problem, checker: CollisionChecker, s: int, target: int, 
     """
     inputs = problem.inputs(s, target, len(x))
     x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, s))
-    return checker.on_target(inputs, x)
+    return checker.states(inputs, x)._replace(x=x, linear=None)
 
 
 def drawn_configurations(

@@ -188,7 +188,7 @@ class ConfigurationSearch:
         lanes = len(inputs.row)
         lane, seeds = np.repeat(np.arange(lanes), SPREAD), np.tile(self._known[:SPREAD], (lanes, 1))
         x = self.checker.project(tables.gather(inputs, lane), seeds)
-        on = self.checker.task.reached(self.checker.on_target(tables.gather(inputs, lane), x).residual)
+        on = self.checker.task.reached(self.checker.states(tables.gather(inputs, lane), x).residual)
         return lane[on], x[on]
 
     def _clearest_apart(self, inputs: lane_inputs.LaneInputs, lane: np.ndarray, x: np.ndarray) -> OnTarget:

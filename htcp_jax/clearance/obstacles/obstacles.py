@@ -158,47 +158,6 @@ def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose,
     return jax.lax.cond((found < limit) & ~is_refuted, exact, lambda: found >= limit)
 
 
-def clearance_where(
-    needed: Bool[jax.Array, ""],
-    robot: Robot,
-    obstacles: Obstacles,
-    where: HasWorkpiecePose,
-    x: Joints,
-    least_m: Float[ArrayLike, ""] | None = None,
-) -> Scalar:
-    """Return D(x, O) [m] if it is needed and, if `least_m` is given, at least `least_m`; else -inf.
-
-    On a CPU, other values are not computed.
-
-    Args:
-        needed: True if D is needed.
-        robot: The robot, with the scenario's tool.
-        obstacles: The obstacles O.
-        where: A scenario, or another `HasWorkpiecePose`.
-        x: The configuration [rad or m].
-        least_m: Smallest distance that is needed [m].
-    """
-    least = None if least_m is None else jnp.asarray(least_m, float)
-    if backend().is_cpu:
-        return _clearance_alone(obstacles, robot, where, x, needed, least)
-    D = _smallest_distance(x, robot, obstacles, where)
-    return jnp.where(needed if least is None else needed & (D >= least), D, -jnp.inf)
-
-
-@one_by_one
-def _clearance_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, x: Joints, needed, least):
-    def measured():
-        bodies = bodies_at(robot, where, x)
-        exact = lambda: _smallest_of(robot, obstacles, where, bodies)  # noqa: E731
-        if least is None:
-            return exact()
-        may_be = _is_clear_alone(obstacles, robot, where, bodies, least - 2 * DECIDED_M, None)
-        D = jax.lax.cond(may_be, exact, lambda: jnp.full((), -jnp.inf))
-        return jnp.where(D >= least, D, -jnp.inf)
-
-    return jax.lax.cond(needed, measured, lambda: jnp.full((), -jnp.inf))
-
-
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
     """Return each row's free radius [m] at x, see `Obstacle.free_radius`; at most 0 in collision."""
     bodies = bodies_at(robot, where, x)
