@@ -237,15 +237,22 @@ def one_by_one(function: Callable) -> Callable:
     def batch(axis_size, in_batched, shared, *arguments):
         if any(jax.tree.leaves(in_batched[0])):
             raise ValueError("the searched arrays must be the same for all lanes")
-        every = jax.tree.map(
-            lambda a, batched: a if batched else jnp.broadcast_to(a, (axis_size, *a.shape)),
-            list(arguments),
-            list(in_batched[1:]),
-        )
+        leaves, structure = jax.tree.flatten(arguments)
+        is_batched = jax.tree.leaves(in_batched[1:])
+
+        def lane(own):
+            own = iter(own)
+            every = [next(own) if b else leaf for leaf, b in zip(leaves, is_batched, strict=True)]
+            return alone(shared, *jax.tree.unflatten(structure, every))
+
         if backend().is_cpu:
-            found = jax.lax.map(lambda lane: alone(shared, *lane), every)
+            found = jax.lax.map(lane, [leaf for leaf, b in zip(leaves, is_batched, strict=True) if b])
         else:
-            found = jax.vmap(partial(function, shared))(*every)
+            every = [
+                leaf if b else jnp.broadcast_to(leaf, (axis_size, *leaf.shape))
+                for leaf, b in zip(leaves, is_batched, strict=True)
+            ]
+            found = jax.vmap(partial(function, shared))(*jax.tree.unflatten(structure, every))
         return found, jax.tree.map(lambda _: True, found)
 
     return alone

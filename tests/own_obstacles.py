@@ -32,9 +32,6 @@ class Floor(Obstacle):
     def smallest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return jnp.min(self._above(robot, bodies.p, bodies.q))
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
-        return self.smallest(robot, where, bodies) <= 0
-
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes):
         return self._above(robot, bodies.p, bodies.q)
 

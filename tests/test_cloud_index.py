@@ -1,6 +1,6 @@
 """Nearest-point index: the same distance as brute force in numpy, to the last bits, for any segment."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.backend import Backend, compiled_for, triton
-from htcp_jax.clearance.distance.cloud_tree import TOP, build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.distance.cloud_tree import TOP, body_within, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.cloud_tree_gpu import nearest_leaves
 from htcp_jax.clearance.distance.clusters import FAN, as_segments, bounding_discs, lower_bounds, single, with_axes
 
@@ -171,18 +171,18 @@ def test_the_order_of_the_points_changes_no_distance():
 
 
 @pytest.mark.parametrize("name", ["three hundred", "each five times", "duct"])
-def test_within_a_limit_the_nearest_point_is_found_and_beyond_it_none(name):
+def test_within_a_limit_a_point_is_found_and_beyond_it_none(name):
     points = cloud(name)
     p, q = segments(points, 400, seed=4)
     exact = smallest_distances(p, q, points)
     factor = np.tile([0.0, 0.5, 1 - 1e-9, 1 + 1e-9, 1.001, 3.0, 1e3, 1e9], 50)
     limit = factor * exact
-    rows = np.asarray(nearest_bodies(build_index(points), p[:, None], q[:, None], limit[:, None], below=0.0).row)
+    rows = np.asarray(bodies_within(build_index(points), p[:, None], q[:, None], limit[:, None]).row)
     inside = (factor > 1) & (exact > 1e-12)
     apart = exact > 1e-12  # for touching segments only rounding decides
     np.testing.assert_array_equal((rows >= 0)[apart], inside[apart])
     found = np.linalg.norm(points[rows] - closest_points(p, q, points[rows]), axis=1)
-    np.testing.assert_allclose(found[inside], exact[inside], rtol=0, atol=16 * EPS)
+    assert (found[inside] <= limit[inside] + 16 * EPS).all()
 
 
 def closest_points(p, q, points):
@@ -199,14 +199,19 @@ def test_a_batch_of_searches_equals_one_after_the_other():
     np.testing.assert_array_equal(np.ravel(together), nearest(index, p.reshape(-1, 3), q.reshape(-1, 3)))
 
 
-@partial(jax.jit, static_argnames="below")
-def nearest_bodies(index, p, q, radius, below=1e150):
-    return jax.lax.map(lambda s: nearest_body(index, *s, below), (p, q, radius))
+@jax.jit
+def nearest_bodies(index, p, q, radius):
+    return jax.lax.map(lambda s: nearest_body(index, *s), (p, q, radius))
+
+
+@jax.jit
+def bodies_within(index, p, q, reach):
+    return jax.lax.map(lambda s: body_within(index, *s), (p, q, reach))
 
 
 @pytest.mark.parametrize("name", ["one", "four", "three hundred", "far apart", "duct"])
 def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(name):
-    """One search for all bodies with any radii; with a limit, only bodies below it are found."""
+    """One search for all bodies with any radii; a pair is found within the radii if there is one."""
     points, count = cloud(name), 100
     p, q = (a.reshape(count, LANES, 3) for a in segments(points, count * LANES, seed=7))
     radius = np.random.default_rng(8).choice([0.0, 0.03, 0.4], (count, LANES))
@@ -222,9 +227,13 @@ def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(
 
     # All radii changed by the same amount, so that the smallest distance is just below or just above the limit.
     short = np.tile([1e-9, -1e-9, 0.1, -0.1], count // 4)
-    body, row = nearest_bodies(index, p, q, radius + (exact.min(1) + short)[:, None], below=0.0)
+    reach = radius + (exact.min(1) + short)[:, None]
+    body, row = map(np.asarray, bodies_within(index, p, q, reach))
     np.testing.assert_array_equal(row >= 0, short > 0)
     np.testing.assert_array_equal(body >= 0, short > 0)
+    mine, row = (np.flatnonzero(short > 0), body[short > 0]), row[short > 0]
+    found = np.linalg.norm(closest_points(p[mine], q[mine], points[row]) - points[row], axis=1)
+    assert (found <= reach[mine] + 16 * EPS * scale[mine[0]]).all()
 
 
 def test_no_gradient_passes_through_the_search():

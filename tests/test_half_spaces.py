@@ -77,7 +77,7 @@ def test_the_core_lies_inside_the_hull_and_fills_most_of_it():
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = points_about(normal, offset, 4000)[:4000]
     inside = (points @ normal.T - offset).max(1) <= 0
-    core = (points @ np.asarray(hull.core_normal).T - np.asarray(hull.core_offset)).max(1) <= 0
+    core = (points @ np.asarray(hull.core[:3]) - np.asarray(hull.core[3])).max(1) <= 0
     assert inside[core].all()
     assert core.sum() > 0.8 * inside.sum()
 

@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
 import htcp_jax
-from htcp_jax.clearance import Scene, by_pieces, clearance, contacts
+from htcp_jax.clearance import Scene, by_pieces, clearance, contacts, is_clear
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.fixtures import Fixtures, fixtures
@@ -93,6 +93,26 @@ def placed_corners(arm: Robot, x: np.ndarray, k: int) -> tuple[np.ndarray, float
 
 def expected_m(capsules: float, pieces: list[float]) -> float:
     return max(capsules, min([LIMIT_M, *pieces]))
+
+
+@jax.jit
+def verdicts(arm, obstacles, xs, above):
+    """Distances, and verdicts at margins `above` them by the distance and by the query alone."""
+
+    def at(x, above):
+        D = clearance(arm, obstacles, WHERE, x)
+        margin = jnp.maximum(D + above, 0.0)
+        return D, D > margin, is_clear(arm, obstacles, WHERE, x, margin)
+
+    return jax.lax.map(lambda row: at(*row), (xs, above))
+
+
+def test_clear_by_a_margin_is_the_verdict_of_the_pieces_also_where_both_are_nearly_equal():
+    obstacles, above = (cloud_of(points(300), 1e-3), SelfCollision(pairs())), (-1e-3, -1e-9, 0.0, 1e-9, 1e-3)
+    xs, above = np.repeat(configurations(), len(above), axis=0), np.tile(above, len(configurations()))
+    D, truth, found = verdicts(arm_with_pieces(), obstacles, xs, above)
+    np.testing.assert_array_equal(found, truth)
+    assert 10 < truth.sum() < len(truth) - 10 and (np.asarray(D) > 0).sum() > 20
 
 
 SETS = ("floor", "crate"), ("bar", "post")

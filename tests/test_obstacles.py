@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
+import pytest
 from own_obstacles import Floor
 
 from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
-from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows, free_radius
+from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows, free_radius, known_contact
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M
@@ -115,6 +116,28 @@ def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():
     np.testing.assert_array_equal(every.is_clear, every.clearances.min(axis=1) > 0)
 
 
+def verdicts(robot, obstacles, where, x, above):
+    """Verdicts at a margin `above` D [m], by the distance, by the query alone, and with the nearest contact known."""
+    here = robot, obstacles, where, x
+    D = clearance(*here)
+    margin = jnp.maximum(D + above, 0.0)
+    known = known_contact(robot, obstacles, contacts(*here))
+    return D > margin, is_clear(*here, margin), is_clear(*here, margin, known)
+
+
+ABOVE_M = (-1e-3, -1e-9, -1e-13, 0.0, 1e-13, 1e-9, 1e-3)
+
+
+@pytest.mark.parametrize("kinds", [slice(0, 1), slice(0, 2), slice(2, 3), slice(3, 4), slice(0, 4)])
+def test_clear_by_a_margin_is_the_verdict_of_the_distance_also_where_they_are_nearly_equal(kinds):
+    x, above = np.repeat(configurations(), len(ABOVE_M), axis=0), np.tile(ABOVE_M, len(configurations()))
+    given = made_once.robot(), obstacles()[kinds], made_once.nominal()
+    truth, found, refuted_first = made_once.in_rows(verdicts, 7 * ROWS)(given, x, above)
+    np.testing.assert_array_equal(found, truth)
+    np.testing.assert_array_equal(refuted_first, truth)
+    assert truth.sum() > 40 and (~truth).sum() > 40
+
+
 def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
     steps = 1e-6 * np.concatenate([np.eye(6), -np.eye(6)])
     (ends,) = answers((clearances,), (configurations()[::4, None] + steps).reshape(-1, 6))
@@ -169,7 +192,7 @@ def test_contacts_alone_answer_every_query():
     def answer(of, xs):
         along = jax.vmap(lambda x: bodies_at(robot, where, x))(xs)
         each = [jax.vmap(lambda bodies, query=query: getattr(of, query)(floor, robot, where, bodies))(along)
-                for query in ("smallest", "touches", "free_radius")]  # fmt: skip
+                for query in ("smallest", "free_radius")]  # fmt: skip
         return each
 
     xs = jnp.asarray(configurations()[:20])

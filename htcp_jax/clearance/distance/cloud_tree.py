@@ -101,7 +101,6 @@ def nearest_body(
     p: Float[Array, "K 3"],
     q: Float[Array, "K 3"],
     radius: Float[Array, "K"],
-    below: float = 1e150,
 ) -> NearestPoint:
     """Return the pair of body and point with the smallest distance(segment, point) - radius.
 
@@ -112,9 +111,26 @@ def nearest_body(
         p: First ends of the bodies' axes [m].
         q: Second ends [m].
         radius: Radii of the bodies [m].
-        below: Upper limit of distance - radius [m]; pairs above it are not returned, see `NearestPoint`.
     """
-    return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.asarray(below, float))))
+    return _nearest_body(index, *jax.lax.stop_gradient((p, q, radius, jnp.full(radius.shape, 1e150, float))))
+
+
+def body_within(
+    index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"], reach: Float[Array, "K"]
+) -> NearestPoint:
+    """Return a pair of body and point with distance(segment, point) < reach; see `NearestPoint` if there is none.
+
+    On a CPU this is the first pair found, so a query that only decides stops there. On a GPU it is the pair with the
+    smallest distance - reach, as lanes would wait for each other.
+
+    Args:
+        index: The cloud's tree.
+        p: First ends of the bodies' axes [m].
+        q: Second ends [m].
+        reach: Distance from each axis within which a point is sought [m].
+    """
+    search = _first_body if backend().is_cpu else _nearest_body
+    return search(index, *jax.lax.stop_gradient((p, q, reach, jnp.zeros(reach.shape, float))))
 
 
 @one_by_one
@@ -123,10 +139,58 @@ def _nearest_rows(index: CloudIndex, p, q, limit):
 
 
 @one_by_one
-def _nearest_body(index: CloudIndex, p, q, radius, below):
-    rows = _search_rows(index, p, q, radius, jnp.broadcast_to(below, radius.shape), shared=True)
+def _nearest_body(index: CloudIndex, p, q, radius, limit):
+    rows = _search_rows(index, p, q, radius, limit, shared=True)
     body = jnp.argmax(rows).astype(jnp.int32)
     return NearestPoint(jnp.where(rows[body] < 0, -1, body), rows[body])
+
+
+@one_by_one
+def _first_body(index: CloudIndex, p, q, radius, limit):
+    segments, reach = as_segments(p, q), radius + limit
+    top = in_reach(with_axes(single(segments), 1), index.levels[0][0][:, None, :], reach[:, None])
+    bodies = jnp.left_shift(jnp.int32(1), jnp.arange(len(reach), dtype=jnp.int32))
+
+    def search(state):
+        bodies, *_ = state
+        k = _lowest(bodies)
+        return bodies & (bodies - 1), k, _first_leaf(index, *jax.tree.map(lambda a: a[..., k], (segments, reach, top)))
+
+    nobody = jnp.sum(jnp.where(top != 0, bodies, 0), dtype=jnp.int32), jnp.int32(-1), jnp.int32(-1)
+    _, body, leaf = jax.lax.while_loop(lambda state: (state[0] != 0) & (state[2] < 0), search, nobody)
+    segment = jax.tree.map(lambda a: a[..., body, None], segments)
+    row = _row_of_least(squared_distance(segment, index.points[leaf])[None], index.rows[leaf][None])[0]
+    return NearestPoint(*jnp.where(leaf < 0, -1, jnp.stack([body, row])))
+
+
+def _first_leaf(index: CloudIndex, segment: LineSegments, reach, top):
+    """Return the first leaf with a point within `reach` [m] of a segment, depth first; -1 if there is none.
+
+    `top` has the bits of the clusters at the top that are `in_reach`.
+    """
+    alone, alone32 = with_axes(segment, 1), with_axes(single(segment), 1)
+
+    def among(depth, first, bits):
+        """Return the first such leaf in the clusters `bits` of the group that begins with cluster `first`."""
+
+        def look(state):
+            bits, _ = state
+            cluster = first + _lowest(bits)
+            if depth == len(index.levels) - 1:
+                leaf = jnp.where(_distance_to_points(alone, index.points[cluster]) < reach, cluster, -1)
+            else:
+                level = index.levels[depth + 1]
+                leaf = among(depth + 1, cluster * level.shape[2], in_reach(alone32, level[cluster], reach))
+            return bits & (bits - 1), leaf
+
+        return jax.lax.while_loop(lambda state: (state[0] != 0) & (state[1] < 0), look, (bits, jnp.int32(-1)))[1]
+
+    return among(0, jnp.int32(0), top)
+
+
+def _lowest(bits):
+    """Return the index of the lowest bit that is set."""
+    return jax.lax.population_count((bits & -bits) - 1)
 
 
 def _search_rows(index: CloudIndex, p, q, radius, limit, shared: bool):
@@ -264,8 +328,7 @@ def _for_each(opened: _OpenClusters, fan: int, take: Callable, state):
 
     def step(carry):
         entry, bits, state = carry
-        lowest = jax.lax.population_count((bits & -bits) - 1)
-        state = take(opened.group[entry] * fan + lowest, state)
+        state = take(opened.group[entry] * fan + _lowest(bits), state)
         rest = bits & (bits - 1)
         entry = entry + (rest == 0).astype(jnp.int32)
         return entry, jnp.where(rest == 0, opened.bits[entry], rest), state

@@ -13,7 +13,7 @@ import numpy as np
 
 from htcp_jax.clearance.distance.cloud_pieces import lowest_points
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
-from htcp_jax.clearance.distance.cloud_tree import build_index, nearest_body, nearest_rows
+from htcp_jax.clearance.distance.cloud_tree import body_within, build_index, nearest_body, nearest_rows
 from htcp_jax.clearance.distance.clusters import CloudIndex
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
 from htcp_jax.clearance.obstacles import narrow_phase
@@ -109,15 +109,14 @@ class Cloud(Obstacle):
         p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
         return capsule_point_distance(p, q, radius[body], self.points[row])
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any body touches the cloud.
-
-        Cheaper than `smallest`, because the search skips all points beyond the capsules' radii.
-        """
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return a distance below the limit [m]: the search skips all points beyond it."""
         if robot.pieces is not None:
-            return super().touches(robot, where, bodies)
+            return super().any_below(robot, where, bodies, limit_m)
         radius = robots.radius_to_workpiece(robot) + self.cover
-        return nearest_body(self.index, bodies.p_workpiece, bodies.q_workpiece, radius, below=0.0).row >= 0
+        body, row = body_within(self.index, bodies.p_workpiece, bodies.q_workpiece, radius + limit_m)
+        p, q = bodies.p_workpiece[body], bodies.q_workpiece[body]
+        return jnp.where(row < 0, jnp.inf, capsule_point_distance(p, q, radius[body], self.points[row]))
 
     def clear_along(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance
@@ -131,7 +130,7 @@ class Cloud(Obstacle):
         """Return True if a point of the cloud is certainly nearer to a body than the margin."""
         within = bodies.radius + narrow_phase.margin_m(where) - bodies.moves
         own = in_workpiece(where, bodies.p), in_workpiece(where, bodies.q)
-        return nearest_body(self.index, *own, within + self.cover, below=0.0).row >= 0
+        return body_within(self.index, *own, within + self.cover).row >= 0
 
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:

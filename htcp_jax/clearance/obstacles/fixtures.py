@@ -25,7 +25,7 @@ from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpie
 from htcp_jax.model import ConvexPiece, Robot, make_piece, stack_pieces
 from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Bool, Float
+from htcp_jax.types import Array, Bool, Float, Scalar
 
 SIDES = 48  # sides of the prism about a cylinder, which is 0.2 % wider than the cylinder
 CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -72,6 +72,12 @@ class Fixtures(Obstacle):
         known = narrow_phase.undecided(capsules, limit)
         return narrow_phase.Doubts(capsules, doubt, known, body, solid, body, lower.reshape(-1), self.solids, planes)
 
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return a distance below the limit [m]: pieces whose balls are beyond it are not measured."""
+        if robot.pieces is not None:
+            return super().any_below(robot, where, bodies, limit_m)
+        return jnp.min(self._nearest(bodies.p, bodies.q, robot.capsule_radius, limit_m).distance)
+
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
         """Return the distance of every solid to every body's capsule [m], including pairs that are not checked."""
         kinds = (*self.simple, *(() if self.pieces is None else (self.pieces,)))
@@ -82,12 +88,13 @@ class Fixtures(Obstacle):
         """Return the name of the solid nearest to a body, for messages."""
         return f"the fixture {self.names[int(_distances_alone(self, robot, where, bodies)[:, row].argmin())]!r}"
 
-    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"]) -> Contacts:
-        """Return the contact of each capsule with the nearest of its solids."""
+    def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], within: Scalar | float = np.inf) -> Contacts:
+        """Return the contact of each capsule with the nearest of its solids; pieces only within `within` [m]."""
         seen = self._simple(p, q) if self.simple else _nothing(len(p))
         if self.pieces is not None:
             is_checked = self.is_checked[len(self.is_checked) - len(self.balls) :]
-            seen = _with_pieces((self.pieces, self.balls), is_checked, *jax.lax.stop_gradient((p, q, radius, seen)))
+            still = jax.lax.stop_gradient((p, q, radius, seen))
+            seen = _with_pieces((self.pieces, self.balls), is_checked, *still, radius + within)
         return _constant_contacts(seen, p, q, radius)
 
     def _simple(self, p: Ends, q: Ends) -> SolidContact:
@@ -241,10 +248,11 @@ def _constant_contacts(seen: SolidContact, p: Ends, q: Ends, radius: Float[Array
 
 
 @one_by_one
-def _with_pieces(search, is_checked, p, q, radius, seen):
+def _with_pieces(search, is_checked, p, q, radius, seen, most):
     """Return the contacts `seen`, each replaced by the contact with a piece if a piece is nearer."""
     pieces, balls = search
-    lower = jnp.where(is_checked, narrow_phase.ball_bounds(p, q, jnp.zeros(len(p)), balls), jnp.inf)
+    lower = narrow_phase.ball_bounds(p, q, jnp.zeros(len(p)), balls)
+    lower = jnp.where(is_checked & (lower < most[None]), lower, jnp.inf)
 
     def open_(state):
         lower, seen = state

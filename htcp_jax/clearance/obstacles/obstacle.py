@@ -19,6 +19,8 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import without_labels
 from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
 
+DECIDED_M = 1e-12  # [m]; a distance in 64-bit floats is wrong by less than this within 100 m of the origin
+
 
 @runtime_checkable
 class HasWorkpiecePose(Protocol):
@@ -148,9 +150,9 @@ class Obstacle:
         """Return the smallest distance of all rows [m]."""
         return jnp.min(self.contacts(robot, where, bodies).distance)
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any distance is 0 or less."""
-        return self.smallest(robot, where, bodies) <= 0
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return any row's distance [m] that is below the limit; if there is none, any value that is not."""
+        return self.smallest(robot, where, bodies)
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "R"]:
         """Return each row's free radius [m]; at most 0 in collision.

@@ -26,7 +26,7 @@ from htcp_jax.model import Fixture, PointCover, Robot, cover_mesh, thinnest_near
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Bool, Float, Pose, Scalar
+from htcp_jax.types import Float, Pose, Scalar
 
 
 class _PlacedFrame(NamedTuple):
@@ -58,9 +58,9 @@ class PlacedCloud(Obstacle):
         """Return the smallest distance of all bodies [m]."""
         return self.cloud.smallest(*self._seen(robot, where, bodies))
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any distance is 0 or less."""
-        return self.cloud.touches(*self._seen(robot, where, bodies))
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return a distance below the limit [m], if there is one."""
+        return self.cloud.any_below(*self._seen(robot, where, bodies), limit_m)
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return each body's distance [m]: it is a free radius, as the cloud does not move."""

@@ -17,6 +17,7 @@ from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, 
 from htcp_jax.clearance.distance.sweep import SweptCapsules
 from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.obstacle import (
+    DECIDED_M,
     BodyAxes,
     Contacts,
     HasWorkpiecePose,
@@ -90,9 +91,10 @@ class Interior(Obstacle):
         outside, _, _ = self._outside(where, bodies)
         return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
 
-    def touches(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Bool[jax.Array, ""]:
-        """Return True if any deep end lies outside the hull."""
-        return jnp.any(self._outside(where, bodies)[0] > 0)
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return minus the distance of a deep end outside the hull [m]; infinite if none is outside."""
+        outside, _, _ = self._outside(where, bodies, jnp.maximum(DECIDED_M, -limit_m))
+        return jnp.min(jnp.where(outside > 0, -outside, jnp.inf))
 
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return each body's free radius [m]: the smaller one of its two ends.
@@ -113,14 +115,15 @@ class Interior(Obstacle):
         outside = jnp.sum(self.hull.normal[facet] * own, axis=1) - self.hull.offset[facet]
         return jnp.any((facet >= 0) & (outside > moves))
 
-    def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes):
+    def _outside(self, where: HasWorkpiecePose, bodies: BodyAxes, enough: Scalar | float = jnp.inf):
         """Return the distance of every body's outermost deep end outside the hull [m], -inf if no end is outside.
 
+        If an end is farther outside than `enough` [m], other ends may be missing.
         Also return True for bodies whose second end is the outermost, and the inward normal of the facet that this end
         crossed, in the workpiece frame.
         """
         both = jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece])
-        facet = crossed_facets(self.hull, both, _depth_of_ends(where, bodies.p, bodies.q) > 0)
+        facet = crossed_facets(self.hull, both, _depth_of_ends(where, bodies.p, bodies.q) > 0, enough)
         normal = self.hull.normal[facet]
         outside = jnp.where(facet < 0, -jnp.inf, jnp.sum(normal * both, axis=1) - self.hull.offset[facet])
         k = bodies.p.shape[0]

@@ -72,6 +72,12 @@ class SelfCollision(Obstacle):
             return narrow_phase.decide(robot, bodies, [self._doubts(robot, where, every)])[0]
         return every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
 
+    def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
+        """Return the smallest distance of all pairs [m], without its contact."""
+        if robot.pieces is not None:
+            return super().any_below(robot, where, bodies, limit_m)
+        return jnp.min(_measured(robot, self.pairs, bodies.p, bodies.q).distance)
+
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
         """Return the rows whose capsules are in doubt, and their pairs, see `narrow_phase`."""
         return self._doubts(robot, where, _measured(robot, self.pairs, bodies.p, bodies.q))
