@@ -84,15 +84,19 @@ class TipGuard:
         length = np.linalg.norm(q - p, axis=1)
         kept = np.maximum(length - self._contact, 0.0)
         move = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
-        row, middle = _wall_samples(p, move, np.ceil(kept / self._wall.grain).astype(int))
-        near = np.isfinite(self._tree.query(middle, distance_upper_bound=self._reach)[0])
-        row = row[near]
-        found = self._tree.query_ball_point(middle[near], self._reach, return_sorted=False)
-        rows = np.repeat(row, [len(each) for each in found])
-        things = np.concatenate([np.empty(0, int), *(np.array(each, int) for each in found)])
+        tip = self._near(p + move / 2, kept.max(initial=0.0) / 2)
+        row, middle = _wall_samples(p[tip], move[tip], np.ceil(kept[tip] / self._wall.grain).astype(int))
+        near = self._near(middle)
+        found = scipy.spatial.cKDTree(middle[near]).sparse_distance_matrix(self._tree, self._reach, output_type="ndarray")
+        rows, things = tip[row[near[found["i"]]]], found["j"]
         through = np.zeros(len(p), bool)
         through[rows[self._wall.crossed(things, p[rows], (p + move)[rows])]] = True
         return through
+
+    def _near(self, points: Ends, radius_m: float = 0.0) -> Int[np.ndarray, "_"]:
+        """Return the rows of the points whose ball of the given radius may touch a piece near a wall."""
+        within = self._tree.query(points, distance_upper_bound=self._reach + radius_m)[0]
+        return np.flatnonzero(np.isfinite(within))
 
 
 @cached_for_last(2)
