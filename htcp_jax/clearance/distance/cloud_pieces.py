@@ -108,6 +108,6 @@ def _height_bounds(planes: Float[Array, "D 4"], T: Float[Array, "4 4"], discs: F
     planes, T = planes.astype(jnp.float32), T.astype(jnp.float32)
     height = _heights(planes, T, discs[:3])
     highest = jnp.max(height, axis=0)
-    cosine = jnp.max(jnp.where(height == highest, jnp.abs(_along(planes, T, discs[3:6])), 0), axis=0)
+    cosine = jnp.max(jnp.where(height == highest[None], jnp.abs(_along(planes, T, discs[3:6])), 0), axis=0)
     across = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0) + 2e-6)
     return highest - cosine * discs[6] - across * discs[7] - jnp.float32(SLACK)
