@@ -18,12 +18,22 @@ from htcp_jax.clearance.proof import ROUNDING_M, bisection, motion_proof
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import TCP_POSITION, Task
 from htcp_jax.motion.lane_inputs import LaneInputs
-from htcp_jax.motion.step_functions import ADVANCE, CLEAR, PROVE, SETTLE, TIP, ProofResolution, State, advance_of
+from htcp_jax.motion.step_functions import (
+    ADVANCE,
+    CLEAR,
+    PLACES,
+    PROVE,
+    SETTLE,
+    TIP,
+    TIPS,
+    ProofResolution,
+    State,
+    advance_of,
+)
 from htcp_jax.numerics import ragged_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
-PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
 TIP_STEP_M = 0.5e-3  # largest travel of the tip within such an interval
 
 Configurations = Float[np.ndarray, "n N"]
@@ -131,25 +141,31 @@ class CollisionChecker:
         good = np.array(among)
         if self._guard is not None and good.any():
             inputs, a, b = tables.gather((inputs, a, b), good)
-            tips = self._tips_along(inputs, a, b, np.full(len(a), PLACES))
-            free = ~self._guard.passes(tips[:, 0], tips[:, 1]).reshape(len(a), -1).any(axis=1)
+            tips, path = self._tips_along(inputs, a, b, np.full(len(a), PLACES))
+            free = ~self._passes(tips, path, len(a))
             travel = np.linalg.norm(np.diff(tips.reshape(len(a), -1, 2, 3), axis=1), axis=-1).max(axis=(1, 2))
             counts = np.ceil(PLACES * travel / TIP_STEP_M).astype(int)
             far = free & (counts > PLACES)
             if far.any():
-                tips = self._tips_along(*tables.gather((inputs, a, b, counts), far))
-                passes = self._guard.passes(tips[:, 0], tips[:, 1])
-                free[np.repeat(np.flatnonzero(far), counts[far] - 1)[passes]] = False
+                free[far] = ~self._passes(*self._tips_along(*tables.gather((inputs, a, b, counts), far)), int(far.sum()))
             good[good] = free
         return good
 
+    def _passes(self, tips: Float[np.ndarray, "m 2 3"], path: Int[np.ndarray, "m"], paths: int) -> Rows:
+        """Return True for each path on which one of the tips passes through a wall."""
+        passes = np.zeros(paths, bool)
+        passes[path[self._guard.passes(tips[:, 0], tips[:, 1])]] = True
+        return passes
+
     def _tips_along(
         self, inputs: LaneInputs, a: Configurations, b: Configurations, counts: Int[np.ndarray, "n"]
-    ) -> Float[np.ndarray, "m 2 3"]:
-        """Return the tip's ends [m] at counts - 1 evenly spaced configurations of each path, in its order."""
-        path, nth = ragged_rows(counts - 1)
-        x = a[path] + ((nth + 1) / counts[path])[:, None] * (b - a)[path]
-        return self.executor(TIP, tables.gather(inputs, path), x)
+    ) -> tuple[Float[np.ndarray, "m 2 3"], Int[np.ndarray, "m"]]:
+        """Return the tip's ends [m] at counts - 1 evenly spaced configurations of each path, and the paths' indices."""
+        path, nth = ragged_rows(-(-(counts - 1) // (PLACES - 1)))
+        first = nth * (PLACES - 1)
+        tips = self.executor(TIPS, *tables.gather((inputs, a, b), path), first, counts[path])
+        is_on_path = first[:, None] + np.arange(PLACES - 1) < counts[path, None] - 1
+        return tips[is_on_path], np.repeat(path, is_on_path.sum(axis=1))
 
 
 def prove_call(

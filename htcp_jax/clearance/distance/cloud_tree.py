@@ -38,7 +38,7 @@ from htcp_jax.clearance.distance.clusters import (
     with_axes,
 )
 from htcp_jax.numerics import one_by_one
-from htcp_jax.types import Array, Float, Int, Scalar
+from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 TOP = 31  # maximum number of clusters at the top: a search stores them as bits of one number
 
@@ -293,6 +293,7 @@ def for_each_leaf(
     take: Callable,
     state: Any,
     lists: Lists,
+    may_matter: Callable | None = None,
 ) -> tuple[Any, Lists]:
     """Apply state = take(leaf, state) to every leaf that may have a point near a segment; return state and lists.
 
@@ -304,6 +305,7 @@ def for_each_leaf(
         take: Function (leaf, state) that returns the new state.
         state: The initial state.
         lists: From `empty_lists`, or from the previous search.
+        may_matter: Function of discs (8, n) that returns a bit mask of those that are searched; None: all are.
     """
     segment32 = single(segment)
     opened, filled = _OpenClusters(jnp.zeros(1, jnp.int32), top[None], (top != 0).astype(jnp.int32)), []
@@ -311,6 +313,8 @@ def for_each_leaf(
 
         def open_group(group, found: _OpenClusters, level=level):
             bits = in_reach(with_axes(segment32, 1), level[group], reach)
+            if may_matter is not None:
+                bits &= may_matter(level[group])
             return _OpenClusters(
                 jax.lax.dynamic_update_index_in_dim(found.group, group, found.count, 0),
                 jax.lax.dynamic_update_index_in_dim(found.bits, bits, found.count, 0),
@@ -343,9 +347,13 @@ def in_reach(segment: LineSegments, bound, reach):
     The mask is 0 if `reach` is negative.
     """
     reach32 = jnp.where(reach < 0, -jnp.inf, jnp.minimum(reach * (1 + 1e-6), 1e30)).astype(jnp.float32)
-    near = lower_bounds(segment, bound) <= reach32
-    bit = jnp.left_shift(jnp.int32(1), jax.lax.broadcasted_iota(jnp.int32, near.shape, near.ndim - 1))
-    return jnp.sum(jnp.where(near, bit, 0), axis=-1, dtype=jnp.int32)
+    return bit_mask(lower_bounds(segment, bound) <= reach32)
+
+
+def bit_mask(members: Bool[Array, "*m n"]) -> Int[Array, "*m"]:
+    """Return a number whose bits are the members along the last axis."""
+    bit = jnp.left_shift(jnp.int32(1), jax.lax.broadcasted_iota(jnp.int32, members.shape, members.ndim - 1))
+    return jnp.sum(jnp.where(members, bit, 0), axis=-1, dtype=jnp.int32)
 
 
 def _distance_to_points(segment: LineSegments, points):

@@ -43,8 +43,9 @@ class Cloud(Obstacle):
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
         rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
-        found = self._contacts(robot, where, bodies, self.points[rows])
-        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found)
+        nearest = self.points[rows]
+        found = self._contacts(robot, where, bodies, nearest)
+        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found, nearest)
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with one point: the cloud's point that is nearest to the arm.
@@ -74,8 +75,18 @@ class Cloud(Obstacle):
             plane=jnp.zeros(radius.shape, bool),
         )
 
-    def _by_pieces(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, capsules: Contacts) -> Contacts:
-        """Return the contacts of capsules; for capsules in doubt, of the pieces in them, see `narrow_phase`."""
+    def _by_pieces(
+        self,
+        robot: Robot,
+        where: HasWorkpiecePose,
+        bodies: BodyAxes,
+        capsules: Contacts,
+        nearest: Float[jax.Array, "K 3"],
+    ) -> Contacts:
+        """Return the contacts of capsules; for capsules in doubt, of the pieces in them, see `narrow_phase`.
+
+        `nearest` is the point nearest to each capsule, workpiece frame [m].
+        """
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         found = lowest_points(
@@ -86,6 +97,7 @@ class Cloud(Obstacle):
             bodies.q_workpiece,
             jnp.where(doubt, robots.radius_to_workpiece(robot) + self.cover + limit, -1.0),
             limit + self.cover,
+            nearest,
         )
         rotate, translate = where.T_world_workpiece[:3, :3], where.T_world_workpiece[:3, 3]
         distance = found.height - self.cover

@@ -20,6 +20,7 @@ from htcp_jax.numerics import ragged_rows
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
 INCLUSIVE = 1e-9  # tolerance relative to a triangle's size, so that no line passes between neighbouring triangles
+NEIGHBOURS = 16  # number of consecutive tips that are tested together
 Ends = Float[np.ndarray, "n 3"]
 
 
@@ -84,15 +85,28 @@ class TipGuard:
         length = np.linalg.norm(q - p, axis=1)
         kept = np.maximum(length - self._contact, 0.0)
         move = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
-        row, middle = _wall_samples(p, move, np.ceil(kept / self._wall.grain).astype(int))
-        near = np.isfinite(self._tree.query(middle, distance_upper_bound=self._reach)[0])
-        row = row[near]
-        found = self._tree.query_ball_point(middle[near], self._reach, return_sorted=False)
-        rows = np.repeat(row, [len(each) for each in found])
-        things = np.concatenate([np.empty(0, int), *(np.array(each, int) for each in found)])
+        tip = self._near_tips(p + move / 2, kept.max(initial=0.0) / 2)
+        row, middle = _wall_samples(p[tip], move[tip], np.ceil(kept[tip] / self._wall.grain).astype(int))
+        near = np.flatnonzero(self._is_near(middle))
+        found = scipy.spatial.cKDTree(middle[near]).sparse_distance_matrix(self._tree, self._reach, output_type="ndarray")
+        rows, things = tip[row[near[found["i"]]]], found["j"]
         through = np.zeros(len(p), bool)
         through[rows[self._wall.crossed(things, p[rows], (p + move)[rows])]] = True
         return through
+
+    def _near_tips(self, middle: Ends, half_m: float) -> Int[np.ndarray, "_"]:
+        """Return the rows of the tips that may touch a piece near a wall; most are excluded in groups of neighbours."""
+        rows = np.minimum(np.arange(-(-len(middle) // NEIGHBOURS) * NEIGHBOURS), len(middle) - 1)
+        groups = middle[rows].reshape(-1, NEIGHBOURS, 3)
+        centre = groups.mean(axis=1)
+        radius = half_m + np.linalg.norm(groups - centre[:, None], axis=2).max(axis=1)
+        tip = np.flatnonzero(np.repeat(self._is_near(centre, radius), NEIGHBOURS)[: len(middle)])
+        return tip[self._is_near(middle[tip], half_m)]
+
+    def _is_near(self, points: Ends, radius_m: Float[np.ndarray, "n"] | float = 0.0) -> Bool[np.ndarray, "n"]:
+        """Return True for points that may be within a radius of a piece near a wall [m]."""
+        reach = (self._reach + np.asarray(radius_m)) * (1 + INCLUSIVE)
+        return self._tree.query(points, distance_upper_bound=reach.max(initial=0.0))[0] <= reach
 
 
 @cached_for_last(2)
