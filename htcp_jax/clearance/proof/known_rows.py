@@ -8,6 +8,7 @@ therefore saves time, and changes no result. If only the required clearance is r
 that.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
-Rows = list[Float[jax.Array, "R"]]  # one array per obstacle
+Rows = list[Float[jax.Array, "_"]]  # one array per obstacle, with one value per row
 
 
 class KnownRows(NamedTuple):
@@ -78,9 +79,7 @@ def free_radii(
     """
     ends, starts = _relative_ends(robot, _rows(robot, obstacles), x, bodies), np.cumsum([0, *map(len, travel)])
     bounds = _bounds(robot, where, known, ends)
-    lower, upper = (
-        [own[start:end] for start, end in zip(starts[:-1], starts[1:], strict=True)] for own in bounds
-    )
+    lower, upper = ([own[start:end] for start, end in pairwise(starts)] for own in bounds)
     exact, others = ([k for k, each in enumerate(obstacles) if each.is_exact is kind] for kind in (True, False))
     smallest, seen = _smallest([upper[k] for k in exact]), {}
     for numbers in (exact, others):
