@@ -103,9 +103,9 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
 
 
 def prove(scene, where, a, b, tube=None, resolution_m=-ROUNDING_M, deepest=DEEPEST, kept=0.0) -> Proof:
-    """Proof or refutation of one straight joint path, by queries one after the other."""
+    """Proof or refutation of one straight joint path, by queries one after the other; each measures all rows."""
     query = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
-    return jax.lax.while_loop(lambda search: search.going, query, initial_state()).proof
+    return jax.lax.while_loop(lambda search: search.going, lambda search: query(search, None)[0], initial_state()).proof
 
 
 def load_cloud(file: Path | str, spacing: float | None = None) -> np.ndarray:

@@ -23,7 +23,7 @@ from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 
 PLACES = 1000
-_PROVEN = jax.jit(lambda *given, deepest: prove(*given, deepest=deepest))
+_PROVEN = jax.jit(lambda *given, deepest: prove(*given, deepest=deepest, kept=0.5))
 _TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)
 
 

@@ -14,6 +14,16 @@ import jax.numpy as jnp
 from htcp_jax.types import Bool, Int
 
 
+class Remembering(NamedTuple):
+    """Steps of loops that are run one after the other, and that use what earlier steps have found.
+
+    The memory may only save time: a lane's result must not depend on it.
+    """
+
+    memory: Any  # before the first step of the first lane
+    step: Callable[[Any, Any], tuple[Any, Any]]  # state, memory -> next state, memory
+
+
 class Loop(NamedTuple):
     """Loop that a function of one lane returns in place of its result, so that loops of different lengths fill a GPU.
 
@@ -25,13 +35,26 @@ class Loop(NamedTuple):
     going: Callable[[Any], jax.Array]  # state -> True while the loop continues
     step: Callable[[Any], Any]  # state -> next state
     result: Callable[[Any], Any] = lambda state: state  # last state -> the lane's result
+    remembering: Remembering | None = None  # in place of `step`, where lanes are computed one after the other
 
 
-def finished(found: Any) -> Any:
-    """Return the result of one lane; if `found` is a `Loop`, run the loop."""
+def finished(found: Any, memory: Any = None) -> tuple[Any, Any]:
+    """Return the result of one lane, and the memory after it; if `found` is a `Loop`, run the loop.
+
+    Without a memory, the loop takes the steps that need none.
+    """
     if not isinstance(found, Loop):
-        return found
-    return found.result(jax.lax.while_loop(found.going, found.step, found.state))
+        return found, memory
+    if memory is None:
+        return found.result(jax.lax.while_loop(found.going, found.step, found.state)), None
+    step, start = found.remembering.step, (found.state, memory)
+    state, memory = jax.lax.while_loop(lambda now: found.going(now[0]), lambda now: step(*now), start)
+    return found.result(state), memory
+
+
+def _first_memory(found: Any) -> Any:
+    """Return the memory before the first lane; None if the function has none."""
+    return found.remembering.memory if isinstance(found, Loop) and found.remembering else None
 
 
 def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
@@ -39,7 +62,8 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
 
     The compiled function is run(scene, lanes, *tables). Tables have C rows, of which the first `lanes` are computed;
     rows of the results from `lanes` on are undefined. With width 1 the function is not batched: a loop then runs only
-    as long as its lane needs, and the executable is a fifth shorter.
+    as long as its lane needs, and the executable is a fifth shorter. Lanes then follow each other, and a `Loop` may pass
+    on a memory.
 
     Args:
         function: Function of (scene, *one lane).
@@ -47,27 +71,26 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
     """
 
     @jax.jit  # traced only once, for the shapes of the results and for the loop
-    def one_chunk(scene, tables, start):
+    def one_chunk(scene, tables, start, memory):
         if width == 1:
-            lane = jax.tree.map(lambda t: jax.lax.dynamic_index_in_dim(t, start, keepdims=False), tables)
-            return jax.tree.map(lambda r: jnp.asarray(r)[None], finished(function(scene, *lane)))
+            result, memory = finished(function(scene, *_lane(tables, start)), memory)
+            return jax.tree.map(lambda r: jnp.asarray(r)[None], result), memory
         part = jax.tree.map(lambda t: jax.lax.dynamic_slice_in_dim(t, start, width), tables)
-        return jax.vmap(lambda *lane: finished(function(scene, *lane)))(*part)
+        return jax.vmap(lambda *lane: finished(function(scene, *lane))[0])(*part), memory
 
     def run(scene, lanes, *tables):
-        def body(i, results):
-            start = i * width
-            return jax.tree.map(
-                lambda all_, part: jax.lax.dynamic_update_slice_in_dim(all_, part, start, 0),
-                results,
-                one_chunk(scene, tables, start),
-            )
+        def body(i, now):
+            start, (results, memory) = i * width, now
+            part, memory = one_chunk(scene, tables, start, memory)
+            update = lambda all_, part: jax.lax.dynamic_update_slice_in_dim(all_, part, start, 0)  # noqa: E731
+            return jax.tree.map(update, results, part), memory
 
         capacity = jax.tree.leaves(tables)[0].shape[0]
         if width == capacity:
-            return one_chunk(scene, tables, 0)
-        empty = _empty(jax.eval_shape(one_chunk, scene, tables, lanes), capacity)
-        return jax.lax.fori_loop(0, (lanes + width - 1) // width, body, empty)
+            return one_chunk(scene, tables, 0, None)[0]
+        memory = _first_memory(function(scene, *_lane(tables, 0))) if width == 1 else None
+        empty = _empty(jax.eval_shape(one_chunk, scene, tables, lanes, memory)[0], capacity)
+        return jax.lax.fori_loop(0, (lanes + width - 1) // width, body, (empty, memory))[0]
 
     return jax.jit(run, keep_unused=True)  # its text then has all arguments, see `kept_executables`
 
@@ -170,6 +193,11 @@ def next_rows(
     row = first + jnp.cumsum(free, dtype=jnp.int32) - 1
     new = free & (row < lanes)
     return row, new, first + jnp.sum(new, dtype=jnp.int32)
+
+
+def _lane(tables: tuple, row: Any) -> tuple:
+    """Return a row of tables."""
+    return jax.tree.map(lambda table: jax.lax.dynamic_index_in_dim(table, row, keepdims=False), tables)
 
 
 def _empty(few: Any, capacity: int) -> Any:

@@ -91,7 +91,10 @@ class LaneFunction:
             found = function(own_scene(scene, lane.tool_extension_m), lane, *more)
             if not isinstance(found, Loop):
                 return found
-            return found._replace(step=lambda state: found.step(own_scene(scene, lane.tool_extension_m), state))
+            own = lambda: own_scene(scene, lane.tool_extension_m)  # noqa: E731
+            if remembering := found.remembering:
+                remembering = remembering._replace(step=lambda *now: found.remembering.step(own(), *now))
+            return found._replace(step=lambda state: found.step(own(), state), remembering=remembering)
 
         return bound
 

@@ -109,7 +109,8 @@ class CollisionChecker:
             a: Starts of the paths [rad or m].
             b: Ends of the paths [rad or m].
             tube: Allowed regions of the TCP; None: anywhere.
-            kept: Share of D that must remain, see `clearance.proof.motion_proof.query_on`.
+            kept: Share of D that must remain, see `clearance.proof.motion_proof.query_on`; with 0, the proven clearance
+                is -resolution_m.
             resolution_m: The proof is D > -resolution_m, see `query_on`.
             deepest: Maximum number of halvings, see `query_on`.
             tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most

@@ -5,6 +5,7 @@ own lane. `device.executor` runs the functions over tables of lanes.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,8 +13,8 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise
-from htcp_jax.clearance.proof import bisection, motion_proof
-from htcp_jax.device import Loop, by_chunks, lane_function
+from htcp_jax.clearance.proof import bisection, known_rows, motion_proof
+from htcp_jax.device import Loop, Remembering, by_chunks, lane_function
 from htcp_jax.model import TaskLinear, kinematics, reanchor
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
@@ -228,7 +229,30 @@ def prove_path(
     check = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
     start = jax.tree.map(jnp.asarray, bisection.initial_state())
     result = lambda search: bisection.proven_result(search.proof)  # noqa: E731
-    return Loop(start, lambda search: search.going, lambda _, search: check(search), result)
+    return Loop(
+        start,
+        lambda search: search.going,
+        lambda _, search: check(search, None)[0],
+        result,
+        _remembering(scene, lane, check),
+    )
+
+
+def _remembering(scene: Scene, lane: LaneInputs, check: Callable) -> Remembering:
+    """Return the steps of a proof that pass on the rows measured in the scenario."""
+    own = lane.T_world_workpiece, lane.tool_extension_m  # distances of exact obstacles depend on no other input
+    nothing = known_rows.nothing_known(scene.robot, scene.obstacles)
+
+    def step(scene: Scene, search: bisection.Bisection, memory):
+        of, known = memory
+        is_same = jnp.all(of[0] == own[0]) & (of[1] == own[1])
+        passed_on = known_rows.exact_alone(scene.robot, scene.obstacles, known)
+        passed_on = jax.tree.map(partial(jnp.where, is_same), passed_on, nothing)
+        known = jax.tree.map(partial(jnp.where, search.proof.queries == 0), passed_on, known)
+        search, known = check(search, known)
+        return search, (own, known)
+
+    return Remembering((jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), own), nothing), step)
 
 
 def task_rows(settings: Settings, scene: Scene, lane: LaneInputs, linear: Linearisation) -> TaskLinear:

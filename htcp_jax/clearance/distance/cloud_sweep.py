@@ -78,8 +78,9 @@ def _clear_along(index: CloudIndex, p, q, p_moves, q_moves, bend, travel, reach,
         found, lists = for_each_leaf(index, segment, *near, measure, enough, lists)
         return clear.at[k].set(found), lists
 
-    start = jnp.broadcast_to(enough, reach.shape), empty_lists(index)
-    return jax.lax.fori_loop(0, len(reach), look, start)[0]
+    start = jnp.broadcast_to(enough, reach.shape)
+    search = lambda: jax.lax.fori_loop(0, len(reach), look, (start, empty_lists(index)))[0]  # noqa: E731
+    return jax.lax.cond(jnp.any(requested), search, lambda: start)
 
 
 def _stays_clear(segment: LineSegments, p, q, p_moves, q_moves, bend, travel, reach, points):

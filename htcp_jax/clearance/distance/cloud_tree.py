@@ -82,7 +82,9 @@ class NearestPoint(NamedTuple):
     row: Int[Array, ""]
 
 
-def nearest_rows(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"]) -> Int[Array, "K"]:
+def nearest_rows(
+    index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3"], needed: Bool[Array, "K"] | None = None
+) -> Int[Array, "K"]:
     """Return the row of the cloud's point nearest to each of K segments; any of several equally near points.
 
     The search is exact. A row has no gradient: differentiate the distance to the point in this row.
@@ -91,8 +93,9 @@ def nearest_rows(index: CloudIndex, p: Float[Array, "K 3"], q: Float[Array, "K 3
         index: The cloud's tree.
         p: First ends of the segments [m].
         q: Second ends [m].
+        needed: True for the segments to search for, others get -1; None: all.
     """
-    limit = jnp.full(p.shape[0], 1e150, float)
+    limit = jnp.full(p.shape[0], 1e150, float) if needed is None else jnp.where(needed, 1e150, -1.0)
     return _nearest_rows(index, *jax.lax.stop_gradient((p, q, limit)))
 
 

@@ -39,13 +39,27 @@ class Cloud(Obstacle):
 
     of_workpiece = True
     sweeps = True
+    is_exact = True
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
-        rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece)
+        return self._nearest(robot, where, bodies, None)
+
+    def free_radius_up_to(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, enough: Float[jax.Array, "K"]
+    ) -> Float[jax.Array, "K"]:
+        """Return each needed body's distance [m]; -inf for the others, for which no point is searched."""
+        needed = enough > -jnp.inf
+        return jnp.where(needed, self._nearest(robot, where, bodies, needed).distance, -jnp.inf)
+
+    def _nearest(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, needed: Bool[jax.Array, "K"] | None
+    ) -> Contacts:
+        """Return the contact of every needed body with its nearest point; any contact for the others."""
+        rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece, needed)
         nearest = self.points[rows]
         found = self._contacts(robot, where, bodies, nearest)
-        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found, nearest)
+        return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found, nearest, needed)
 
     def closest(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with one point: the cloud's point that is nearest to the arm.
@@ -82,6 +96,7 @@ class Cloud(Obstacle):
         bodies: BodyAxes,
         capsules: Contacts,
         nearest: Float[jax.Array, "K 3"],
+        needed: Bool[jax.Array, "K"] | None,
     ) -> Contacts:
         """Return the contacts of capsules; for capsules in doubt, of the pieces in them, see `narrow_phase`.
 
@@ -89,6 +104,7 @@ class Cloud(Obstacle):
         """
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
+        doubt = doubt if needed is None else doubt & needed
         found = lowest_points(
             self.index,
             robot.pieces.planes,

@@ -49,6 +49,7 @@ class Fixtures(Obstacle):
     solids: ConvexPiece | None = None  # all solids except half-spaces, in the order of `names`; for an arm with pieces
 
     in_pairs = True
+    is_exact = True
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest solid."""

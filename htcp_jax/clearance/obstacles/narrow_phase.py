@@ -12,7 +12,7 @@ term.
 The pairs of all obstacles are measured by one search, so that compiled code contains it once, see `decide_together`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -196,17 +196,41 @@ class _Decided(Obstacle):
         return self.found
 
 
-def decide_together(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, bodies: BodyAxes) -> Obstacles:
+def decide_together(
+    robot: Robot,
+    obstacles: Obstacles,
+    where: HasWorkpiecePose,
+    bodies: BodyAxes,
+    needed: Sequence[Bool[Array, ""]] | None = None,
+) -> Obstacles:
     """Return the obstacles for queries at one configuration.
 
     For an arm with pieces, one search computes the contacts of all obstacles with `in_pairs`. For other arms the
     obstacles are returned unchanged.
+
+    Args:
+        robot: The robot.
+        obstacles: The obstacles.
+        where: A scenario, or another `HasWorkpiecePose`.
+        bodies: The bodies.
+        needed: True for obstacles that will be queried; None: all.
     """
-    in_pairs = [] if robot.pieces is None else [each for each in obstacles if each.in_pairs]
+    in_pairs = [] if robot.pieces is None else [k for k, each in enumerate(obstacles) if each.in_pairs]
     if not in_pairs:
         return obstacles
-    found = iter(decide(robot, bodies, [each.doubts(robot, where, bodies) for each in in_pairs]))
-    return tuple(_Decided(each, next(found)) if each.in_pairs else each for each in obstacles)
+    look = [lambda each=obstacles[k]: each.doubts(robot, where, bodies) for k in in_pairs]
+    if needed is None:
+        doubts = [own() for own in look]
+    else:
+        doubts = [jax.lax.cond(needed[k], own, partial(_no_doubts, own)) for k, own in zip(in_pairs, look, strict=True)]
+    found = dict(zip(in_pairs, decide(robot, bodies, doubts), strict=True))
+    return tuple(_Decided(each, found[k]) if k in found else each for k, each in enumerate(obstacles))
+
+
+def _no_doubts(look: Callable[[], Doubts]) -> Doubts:
+    """Return a result of `look` without rows in doubt, for an obstacle that is not measured."""
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look))
+    return empty._replace(lower=jnp.full_like(empty.lower, jnp.inf))
 
 
 def ball_bounds(

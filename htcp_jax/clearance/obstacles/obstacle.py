@@ -117,6 +117,8 @@ class Obstacle:
         of_workpiece: True if messages describe the obstacle as the workpiece.
         sweeps: True if the kind defines `clear_along`.
         in_pairs: True if, for an arm with pieces, the kind defines `doubts` and no other query.
+        is_exact: True if `free_radius` is the distance of the capsules up to ROUNDING_M, so that it changes by no more
+            than the bodies move; for an arm with pieces, if it is above `narrow_phase.limit_m`.
         names: Names of the obstacle's parts.
     """
 
@@ -124,6 +126,7 @@ class Obstacle:
     of_workpiece: ClassVar[bool] = False
     sweeps: ClassVar[bool] = False
     in_pairs: ClassVar[bool] = False
+    is_exact: ClassVar[bool] = False
     names: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, robot: Robot) -> RowPairs:
@@ -161,6 +164,16 @@ class Obstacle:
         row's other side.
         """
         return self.contacts(robot, where, bodies).distance
+
+    def free_radius_up_to(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, enough: Float[jax.Array, "R"]
+    ) -> Float[jax.Array, "R"]:
+        """Return each row's free radius or, where that is at least `enough`, any lower bound of at least `enough` [m].
+
+        A row with `enough` = -inf is not needed. An exact kind returns -inf or the free radius for it, and the free
+        radius for all others.
+        """
+        return self.free_radius(robot, where, bodies)
 
     def clear_along(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance

@@ -49,6 +49,7 @@ class PlacedCloud(Obstacle):
     excluded: tuple[int, ...] = field(default=(), metadata={"static": True})  # links whose bodies are not checked
 
     sweeps = True
+    is_exact = True
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
@@ -65,6 +66,12 @@ class PlacedCloud(Obstacle):
     def free_radius(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[jax.Array, "K"]:
         """Return each body's distance [m]: it is a free radius, as the cloud does not move."""
         return self.cloud.free_radius(*self._seen(robot, where, bodies))
+
+    def free_radius_up_to(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, enough: Float[jax.Array, "K"]
+    ) -> Float[jax.Array, "K"]:
+        """Return each needed body's distance [m]; -inf for the others."""
+        return self.cloud.free_radius_up_to(*self._seen(robot, where, bodies), enough)
 
     def clear_along(
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, sweep: BodySweep, wanted: RequiredClearance

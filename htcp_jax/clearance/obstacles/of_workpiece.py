@@ -103,7 +103,21 @@ class Interior(Obstacle):
         larger.
         """
         beyond = _depth_of_ends(where, bodies.p, bodies.q)
-        requested = beyond > -NEAR_M
+        return self._deepened(bodies, beyond, beyond > -NEAR_M)
+
+    def free_radius_up_to(
+        self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, enough: Float[jax.Array, "K"]
+    ) -> Float[jax.Array, "K"]:
+        """Return each body's free radius [m]; only its distance to the interior's plane if that is enough."""
+        beyond = _depth_of_ends(where, bodies.p, bodies.q)
+        requested = (beyond > -NEAR_M) & (-beyond < jnp.tile(enough, 2))
+        deepened = lambda: self._deepened(bodies, beyond, requested)  # noqa: E731
+        return jax.lax.cond(jnp.any(requested), deepened, lambda: jnp.min(-beyond.reshape(2, -1), axis=0))
+
+    def _deepened(
+        self, bodies: BodyAxes, beyond: Float[jax.Array, "ends"], requested: Bool[jax.Array, "ends"]
+    ) -> Float[jax.Array, "K"]:
+        """Return each body's free radius [m], with the depth in the hull only of requested ends."""
         depth = depths(self.hull, jnp.concatenate([bodies.p_workpiece, bodies.q_workpiece]), requested)
         return jnp.min(jnp.where(requested, jnp.maximum(depth, -beyond), -beyond).reshape(2, -1), axis=0)
 

@@ -58,6 +58,7 @@ class SelfCollision(Obstacle):
 
     per_body = False
     in_pairs = True
+    is_exact = True
 
     def rows(self, robot: Robot) -> RowPairs:
         """Return one row for each body and each link nearer to the base, if they have a checked pair."""

@@ -1,4 +1,4 @@
-from . import bisection, branch_exclusion, exclusion, motion_proof, row_proof
+from . import bisection, branch_exclusion, exclusion, known_rows, motion_proof, row_proof
 from .motion_bound import OUTSIDE_M, ROUNDING_M, arm_points, lever_bounds
 
 __all__ = [
@@ -8,6 +8,7 @@ __all__ = [
     "bisection",
     "branch_exclusion",
     "exclusion",
+    "known_rows",
     "lever_bounds",
     "motion_proof",
     "row_proof",

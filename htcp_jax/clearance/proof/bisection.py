@@ -30,7 +30,7 @@ class Proof(NamedTuple):
 
     verdict: Int[Array, ""]
     place: Scalar  # 0 to 1: the middle of the refuted or undecided interval; 1 if all intervals are proven
-    clearance: Scalar  # lower bound on D along the proven part [m]
+    clearance: Scalar  # lower bound on D along the proven part [m], see `kept` in `motion_proof.query_on`
     queries: Int[Array, ""]  # number of checked intervals
     depth: Int[Array, ""]  # number of halvings that led to the shortest interval
 

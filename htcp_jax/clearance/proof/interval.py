@@ -22,6 +22,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     RowPairs,
     bodies_at,
 )
+from htcp_jax.clearance.proof.known_rows import KnownRows, free_radii
 from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, body_sweep, travel_bound
 from htcp_jax.model import Robot
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
@@ -31,7 +32,7 @@ class Interval(NamedTuple):
     """Clearance on an interval of a joint path."""
 
     middle: Scalar  # lower bound on D at the interval's middle [m]
-    clear: Scalar  # lower bound on D on the complete interval [m]
+    clear: Scalar  # lower bound on D on the complete interval [m]: the required clearance if no share of D is kept
     proven: Bool[Array, ""]  # True: `clear` is at least the required clearance
 
 
@@ -46,8 +47,9 @@ def on_interval(
     kept: Float[ArrayLike, ""],
     keeps: Bool[Array, ""],
     requested: Bool[Array, ""],
-) -> Interval:
-    """Return bounds on D on the joint path x + s `rates` with |s| <= half.
+    known: KnownRows | None = None,
+) -> tuple[Interval, KnownRows | None]:
+    """Return bounds on D on the joint path x + s `rates` with |s| <= half, and what is known then.
 
     Args:
         robot: The robot.
@@ -60,28 +62,36 @@ def on_interval(
         kept: Share of D at the middle that is also required if `keeps` is True.
         keeps: True to require the share `kept`.
         requested: True to use the obstacles' own bounds, too; False to use only the bodies' travel.
+        known: Rows measured before, see `known_rows`; rows that cannot change the result are then not measured. None:
+            all rows are measured.
     """
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, rates, half)
-    measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
-    free_radius = [each.free_radius(robot, where, bodies) for each in measured]
+    rows = [each.rows(robot) for each in obstacles]
+    travels = [
+        moves.travel if own == RowPairs.of_bodies(robot) else row_travel_bound(robot, own, x, rates, half)
+        for own in rows
+    ]
+    if known is None:
+        measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
+        free_radius = [each.free_radius(robot, where, bodies) for each in measured]
+    else:
+        free_radius, known = free_radii(robot, obstacles, where, x, bodies, travels, least, kept > 0, known)
     middle = jnp.min(jnp.concatenate(free_radius))
     good = jnp.maximum(kept * middle, least)
     # The computed bound may exceed the required one, as it is recorded as the proven clearance.
     required = jnp.where(keeps, good, least)
     wanted = RequiredClearance(requested, required, jnp.maximum(jnp.sqrt(kept) * middle, least))
     clear = []
-    for each, own in zip(obstacles, free_radius, strict=True):
-        rows = each.rows(robot)
-        travel = moves.travel if rows == RowPairs.of_bodies(robot) else row_travel_bound(robot, rows, x, rates, half)
+    for each, own, own_rows, travel in zip(obstacles, free_radius, rows, travels, strict=True):
         if robot.pieces is not None:  # a distance up to the limit may be that of a piece
-            own_turn = piece_turn_bound(robot, rows, half * jnp.abs(rates))
+            own_turn = piece_turn_bound(robot, own_rows, half * jnp.abs(rates))
             travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
         by_travel = own - travel
         clear.append(
             _closer(each, robot, where, bodies, moves, own, by_travel, good, wanted) if each.sweeps else by_travel
         )
     clear = jnp.min(jnp.concatenate(clear))
-    return Interval(middle, clear, clear >= wanted.least)
+    return Interval(middle, jnp.where(kept > 0, clear, least), clear >= wanted.least), known
 
 
 def _closer(
@@ -102,12 +112,12 @@ def _closer(
     """
     open_, nearer = by_travel < good, moves.travel**2 / (2 * robot.capsule_radius)  # `nearer`: estimate, for a point
     hopeful = jnp.all(~open_ | (free_radius - moves.bend >= wanted.least) & (nearer <= 4 * free_radius))
-    requested = wanted.requested & hopeful
-    by_sweep = kind.clear_along(robot, where, bodies, moves, wanted._replace(requested=open_ & requested))
+    needed = open_ & wanted.requested & hopeful
+    by_sweep = kind.clear_along(robot, where, bodies, moves, wanted._replace(requested=needed))
     if robot.pieces is not None:  # a piece's free radius may prove more than the sweep of its capsule
-        failed = jnp.any(open_ & requested & (by_sweep < wanted.least))  # True: the other values are arbitrary
+        failed = jnp.any(needed & (by_sweep < wanted.least))  # True: the other values are arbitrary
         by_sweep = jnp.where(failed, by_travel, jnp.maximum(by_sweep, by_travel))
-    return jnp.where(open_ & requested, by_sweep, by_travel)
+    return jnp.where(needed, by_sweep, by_travel)
 
 
 def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array, "R"]:

@@ -25,6 +25,7 @@ from jax.typing import ArrayLike
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
 from htcp_jax.clearance.proof.interval import on_interval
+from htcp_jax.clearance.proof.known_rows import KnownRows
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.numerics import capsule_point_distance, product, safe_norm
@@ -57,11 +58,12 @@ def query_on(
     resolution_m: Float[ArrayLike, ""],
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
-) -> Callable[[Bisection], Bisection]:
+) -> Callable[[Bisection, KnownRows | None], tuple[Bisection, KnownRows | None]]:
     """Return a function that checks the next interval of the bisection of a straight joint path.
 
     Repeated from `initial_state()` as long as the bisection is going, it proves or refutes that the path is clear, and
-    that the TCP stays in the tube, if any.
+    that the TCP stays in the tube, if any. Its second argument and result are rows measured before, see `known_rows`;
+    with None, all rows are measured in every interval. They do not change the proof.
 
     Args:
         scene: The scene.
@@ -72,14 +74,14 @@ def query_on(
         resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations.
         deepest: Maximum number of halvings. With fewer halvings, more paths near obstacles remain undecided.
         kept: Share of D at an interval's middle that must be proven on all of the interval. Otherwise the interval is
-            halved further, up to KEPT_DEPTH times. With 0, the proven clearance may be much smaller than D.
+            halved further, up to KEPT_DEPTH times. With 0, the recorded clearance is -resolution_m.
     """
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     requested = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
 
-    def check_next_interval(search: Bisection) -> Bisection:
+    def check_next_interval(search: Bisection, known: KnownRows | None) -> tuple[Bisection, KnownRows | None]:
         index, depth, end, proof = search
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1).astype(half.dtype) * half
@@ -93,7 +95,9 @@ def query_on(
             out = jnp.any(rows.broken) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
-        there = on_interval(scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on)
+        there, known = on_interval(
+            scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on, known
+        )
         proven = stays & there.proven
         verdict = jnp.where(there.middle <= 0, int(PathVerdict.IN_COLLISION), broken)
         verdict = jnp.where(
@@ -107,7 +111,7 @@ def query_on(
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
         index, depth = jax.tree.map(partial(jnp.where, proven), next_interval(index, depth), (2 * index, depth + 1))
-        return Bisection(index, depth, end, found)
+        return Bisection(index, depth, end, found), known
 
     return check_next_interval
 
