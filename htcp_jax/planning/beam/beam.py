@@ -224,15 +224,16 @@ class BeamSearch:
         inputs, tube = inputs_and_tubes(self._problem, scenario, target, draws, True)
         moved = self._checker.executor(SELF_MOTION, inputs, x, motion_number.astype(np.int32))
         lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
-        before = np.concatenate([x[:, None], moved.path.x], axis=1)
         proven = np.zeros(moved.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at the end of each self-motion
-            edges = _in_order_of_travel(way[lane], before[lane, step], before[lane, step + 1])
+            ends = moved.path.x.reshape(-1, x.shape[1]).take(lane * proven.shape[1] + step, axis=0)
+            starts = np.where((step == 0)[:, None], x[lane], np.roll(ends, 1, axis=0))
+            edges = _in_order_of_travel(way[lane], starts, ends)
             proof = self._checker.edges(tables.gather(inputs, lane), *edges, tables.gather(tube, lane), tip=False)
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
         if self._joint_steps is not None:
             left = self._joint_steps.left(self._tree, origins.node, scenario, target + 1)
-            proven &= (np.abs(np.diff(before, axis=1)).cumsum(axis=1) <= left[:, None]).all(axis=2)
+            proven &= (np.abs(np.diff(moved.path.x, axis=1, prepend=x[:, None])).cumsum(axis=1) <= left[:, None]).all(axis=2)
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = moved.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = self._checker.tip_free(inputs, last, steps > 0)

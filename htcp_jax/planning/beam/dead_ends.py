@@ -53,6 +53,7 @@ NEAR_RAD = 0.4  # standard deviation of draws around known configurations
 SHARE = 0.15  # share of the effort for searches backwards, if the motion cannot begin elsewhere
 BACK, WIDER = 8, 2  # targets before the lost one at which a wider search begins, and the multiple of the beam's width
 PROOF_CELLS, TOOL_CELLS = 24, 128  # maximum numbers of cells of the proofs that exclude the lost target: arm, tool
+TURNS = 4  # calls of `retry` until dead ends are sampled on a GPU, where few lanes take as long as many
 TOGETHER = 64  # dead ends at which configurations are sampled in one call, which limits the memory
 MEET_RAD, PAIRS = 1.5, 4  # largest distance of configurations that are joined, and pairs tried at each target
 
@@ -126,6 +127,7 @@ class DeadEnds:
         self._draws: defaultdict[int, Draws] = defaultdict(Draws)  # by scenario
         self._missed: Counter[tuple[int, int]] = Counter()  # (scenario, target) -> draws since one arrived
         self._exclusion: dict[bytes, Exclusion] = {}  # inputs of a target -> why it has no clear configuration
+        self._turn = 0  # number of calls of `retry`
         self._open: list[DeadEnd] = []  # those at which configurations are sampled in the next round
         self._backwards: dict[int, BackwardSearch] = {}  # by search, until it ends
         self._wider: dict[int, WiderSearch] = {}  # by search
@@ -203,6 +205,9 @@ class DeadEnds:
         grafted = self._grafted([one for one in ended if one in self._backwards])
         self._searches.begin(*self._to_the_end(grafted), list(grafted.values()), list(grafted))
         self._open += [self._dead_end(one) for one in ended if one not in grafted and one not in finished]
+        self._turn += 1
+        if self._turn % TURNS and self._searches.going.any() and not self._checker.executor.pays_by_lane:
+            return finished
         samples = [self._may_sample(end) for end in self._open]
         over = [end for end, may in zip(self._open, samples, strict=True) if not may]
         self._open = self._search_from_samples([end for end, may in zip(self._open, samples, strict=True) if may])
