@@ -233,7 +233,8 @@ class BeamSearch:
             proven[lane, step] = proof.verdict == SegmentStatus.VALID
         if self._joint_steps is not None:
             left = self._joint_steps.left(self._tree, origins.node, scenario, target + 1)
-            proven &= (np.abs(np.diff(moved.path.x, axis=1, prepend=x[:, None])).cumsum(axis=1) <= left[:, None]).all(axis=2)
+            travel = np.abs(np.diff(moved.path.x, axis=1, prepend=x[:, None])).cumsum(axis=1)
+            proven &= (travel <= left[:, None]).all(axis=2)
         steps = np.logical_and.accumulate(proven, axis=1).sum(axis=1)
         last = moved.path.x[np.arange(len(x)), np.maximum(steps - 1, 0)]
         good = self._checker.tip_free(inputs, last, steps > 0)
