@@ -30,10 +30,10 @@ from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.runs.input_files import anchor_files, file_hashes
+from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import Shard, plan_here, scenarios_of
 from htcp_jax.runs.manifest import Manifest, Span, spans
-from htcp_jax.runs.provenance import code_of, planned_by
+from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
@@ -105,7 +105,7 @@ def sweep(
             if value is not None and not 1 <= value <= grid_axes.MOST:
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         batch = spec.batch(limit)
-        requested = requested_manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
+        requested = _manifest(spec, batch, chosen, limit, shard_scenarios or SHARD_SCENARIOS)
         execution = Execution(device, threads, targets_in_all=targets_in_all)
         planned = _planner(on, chosen, batch, spec, execution)
         with _folder(out) as (folder, keep, discard), locked(folder), planned as plan, signals() as came:
@@ -175,7 +175,7 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with output_files.made_folder(folder):
-        run = writer.begin(folder, requested_manifest(spec, batch, tuple(plans), None, shard_scenarios))
+        run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None, shard_scenarios))
         for method, found in plans.items():
             for span in spans(run.manifest):
                 own = found.rows(slice(span.first, span.last + 1))
@@ -244,21 +244,9 @@ def _causes(batch: Batch, span: Span, plans: Plans) -> dict[int, start_cause.Sta
     return found
 
 
-def requested_manifest(
-    spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int
-) -> Manifest:
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None, shard_scenarios: int) -> Manifest:
     """Return the manifest of a requested run; it contains no shards yet."""
-    config = spec.config.model_dump(mode="json")
-    grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
-    named = anchor_files(config)
-    for axis in (axis for group in grid for axis in group["axes"]):
-        named += [
-            (key, name)
-            for key, words in grid_axes.FILE_KEYS.items()
-            for name in axis.get(key, {}).get("values", ())
-            if name not in words
-        ]
-    files = file_hashes(named)
+    config, grid, files = recorded_inputs(spec)
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
         name=spec.name,
@@ -281,9 +269,7 @@ def requested_manifest(
 
 def _code(spec: Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
-    kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
-    rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
-    return code_of(registry.METHODS, methods) | kinds | rows
+    return code_of(registry.METHODS, methods) | code_of_kinds(spec.config)
 
 
 def _planner(on: str, methods: tuple[str, ...], batch: Batch, spec: Sweep, execution: Execution):
