@@ -126,6 +126,7 @@ OWN_FILES = {  # modules that open files themselves, and why that is safe
     "runs.provenance": "/proc/cpuinfo",
     "system.output_files": "files that a person names for the gate",
     "runs.plan_folder": "bytes in memory",
+    "runs.checkpoint": "bytes in memory",
     "caching.cache_folder": "the user's own cache",
     "caching.cache_key": "the source of this package, and /proc/cpuinfo",
     "device.processes": "a folder that was made just now",

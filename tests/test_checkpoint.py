@@ -93,7 +93,7 @@ def search(out: Path, after: int | None = None, limit: int | None = None, each: 
     """Search in a folder, with Ctrl-C before the call number `after`; return the result and what was computed."""
     spec = load_sweep("grid.yaml")
     batch = spec.batch(limit)
-    with checkpoint(out, search_identity(spec, batch, **OPTIONS), batch.scenarios.count) as kept:
+    with checkpoint(out, search_identity(spec, **OPTIONS), batch.scenarios.count) as kept:
         memo = Interrupting(kept, after)
         return search_batch(batch, 0.9, 64, each, lambda *now: None, memo), memo.computed
 
@@ -186,7 +186,7 @@ def _changed(text: str) -> str:
 def test_a_second_command_is_refused_while_the_first_runs(here, capsys):
     spec = load_sweep("grid.yaml")
     batch = spec.batch()
-    with checkpoint(here / "out", search_identity(spec, batch, **OPTIONS), batch.scenarios.count):
+    with checkpoint(here / "out", search_identity(spec, **OPTIONS), batch.scenarios.count):
         assert main([*WORDS, "out"]) == 2
     assert capsys.readouterr().err.startswith(f"htcp: out/{FOLDER} is in use by another command: process {os.getpid()}")
 

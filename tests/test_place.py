@@ -25,6 +25,7 @@ from sweep_process import JOB, environment, make_sweep
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.io.arrays import parquet_bytes
 from htcp_jax.placement import PlacementResult, place
 from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
@@ -87,9 +88,13 @@ def place_toy(folder: Path, out: str, **choices) -> PlacementResult:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Ranking files of a search, and the row files of all its stages."""
-    rows = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*/*.parquet")}
-    return {name: (folder / name).read_bytes() for name in RESULTS[:2]} | rows
+    """Ranking files of a search, and the rows of all its runs, however they are divided into shards."""
+    rows = {str(file.parent.relative_to(folder)): open_run(file.parent) for file in folder.rglob("manifest.json")}
+    tables = {name: (run.targets().combine_chunks(), run.scenarios().combine_chunks()) for name, run in rows.items()}
+    files = {
+        name: b"".join(parquet_bytes(table.replace_schema_metadata()) for table in two) for name, two in tables.items()
+    }
+    return {name: (folder / name).read_bytes() for name in RESULTS[:2]} | files
 
 
 @pytest.fixture(scope="module")

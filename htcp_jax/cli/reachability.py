@@ -82,7 +82,7 @@ def reachability(
         out = Path("out", file.stem if config is None else f"{file.stem}-{config.stem}")
     batch = (spec := load_sweep_or_job(file, config, seeded(overrides or (), seed))).batch(limit)
     run = open_run(out) if (out / manifest.MANIFEST).exists() else None
-    search = checkpoint.search_identity(spec, batch, resolution_rad=resolution, proof_cells=proof_cells)
+    search = checkpoint.search_identity(spec, resolution_rad=resolution, proof_cells=proof_cells)
     with checkpoint.checkpoint(out, search, batch.scenarios.count) as kept, output_files.written_whole(out) as folder:
         found = _search(batch, resolution, proof_cells, each, kept)
         seed = spec.config.settings.seed

@@ -1,13 +1,15 @@
 """Checkpoint of a reachability search: the results of finished targets, from which the same command continues.
 
-    reachability/search.json          the search: its configuration, grid, files, options, and the program
-    reachability/<number>.parquet     results: step of the search, scenario, target, and numbers (`reachability.memo`)
+    reachability/search.json     the search: its configuration, grid, files and options, and the program
+    reachability/<number>.npz    results, see `reachability.memo`
 
+A row of `place` is a result: index of its step in `steps` (JSON), scenario, target, length of its part of `numbers`.
 The folder is in the output folder of the search while this runs or is interrupted, and is removed when it is finished.
 Every file is written completely or not at all.
 """
 
 import contextlib
+import io
 import json
 import signal
 import threading
@@ -17,29 +19,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Interrupted, Note
 from htcp_jax.io import arrays
-from htcp_jax.jobs import Batch, Sweep
+from htcp_jax.jobs import Sweep
 from htcp_jax.reachability import memo
-from htcp_jax.runs import sweep
 from htcp_jax.runs.identity import identity, identity_differences
-from htcp_jax.runs.provenance import planned_by
+from htcp_jax.runs.input_files import recorded_inputs
+from htcp_jax.runs.provenance import code_of_kinds, planned_by
 from htcp_jax.system import files, lock, output_files, stop_message
 
-FOLDER, SEARCH, RESULTS = "reachability", "search.json", "[0-9]*.parquet"
+FOLDER, SEARCH, RESULTS = "reachability", "search.json", "[0-9]*.npz"
 EVERY_S = 5.0  # time between two files; a process that is killed loses the results since the last one
-SCHEMA = pa.schema(
-    [
-        ("step", pa.string()),
-        ("scenario", pa.int32()),
-        ("target", pa.int32()),
-        ("numbers", pa.list_(pa.float64())),
-    ]
-)
 
 
 @contextlib.contextmanager
@@ -66,26 +60,27 @@ def checkpoint(out: Path, search: dict[str, Any], targets: Int[np.ndarray, "S"])
             try:
                 with stop_message(found.stop):
                     yield found
-                found.remove()
             except KeyboardInterrupt:
                 raise Interrupted(found.stop(), signal.SIGINT) from None
+            else:
+                found.remove()
             finally:
                 found.stop()
 
 
-def search_identity(spec: Sweep, batch: Batch, **options: Any) -> dict[str, Any]:
-    """Return the data that identify a search, of which each difference is refused.
+def search_identity(spec: Sweep, **options: Any) -> dict[str, Any]:
+    """Return the data that identify a search: another search is refused where these differ.
 
     Args:
-        spec: The sweep or job.
-        batch: Its scenarios; their number is not part of the identity.
+        spec: The sweep or job. The number of scenarios is not part of the identity.
         **options: Options of the search.
 
     Raises:
         InputError: If an input file cannot be read.
     """
-    run = sweep.requested_manifest(spec, batch, (), None)
-    return identity(run.config, run.grid, run.dtype, run.files) | options | {"code": run.code}
+    config, grid, hashes = recorded_inputs(spec)
+    dtype = str(jax.dtypes.canonicalize_dtype(float))
+    return identity(config, grid, dtype, hashes) | options | {"code": code_of_kinds(spec.config)}
 
 
 class Checkpoint:
@@ -100,7 +95,7 @@ class Checkpoint:
         self._folder, self._count = folder, int(targets.sum())
         self._kept = _read(folder)
         self._known = {key[1:] for key in self._kept}  # scenarios and targets with results
-        self._new: list[pa.RecordBatch] = []
+        self._new: list[tuple[str, memo.Pairs, memo.Results]] = []  # not written yet
         self._lock, self._written, self._is_open = threading.Lock(), time.monotonic(), True
 
     @property
@@ -121,21 +116,25 @@ class Checkpoint:
         return found
 
     def _add(self, step: str, pairs: memo.Pairs, results: memo.Results) -> None:
-        offsets = np.arange(len(results) + 1) * results.shape[1]
-        numbers = pa.ListArray.from_arrays(offsets.astype(np.int32), results.ravel())
-        columns = pa.array([step] * len(pairs)), *pairs.T.astype(np.int32), numbers
         with self._lock:
             if self._is_open:
-                self._new.append(pa.record_batch(list(columns), schema=SCHEMA))
-                self._known |= {tuple(pair) for pair in pairs.tolist()}
+                self._new.append((step, pairs, results))
+                self._known |= set(map(tuple, pairs.tolist()))
                 if time.monotonic() - self._written > EVERY_S:
                     self._write()
 
     def _write(self) -> None:
         number = max((int(file.stem) for file in self._folder.glob(RESULTS)), default=0) + 1
-        table = pa.Table.from_batches(self._new)
-        data = arrays.parquet_bytes(table, use_dictionary=["step"], write_page_checksum=True)
-        files.write_atomically(self._folder, f"{number:06d}.parquet", data)
+        steps = list(dict.fromkeys(step for step, _, _ in self._new))
+        place = [
+            np.column_stack([np.full(len(pairs), steps.index(step)), pairs, np.full(len(pairs), results.shape[1])])
+            for step, pairs, results in self._new
+        ]
+        numbers = np.concatenate([results.ravel() for _, _, results in self._new])
+        named = np.frombuffer(json.dumps(steps).encode(), np.uint8)
+        stream = io.BytesIO()  # not Parquet, as pyarrow would import pandas
+        np.savez(stream, steps=named, place=np.concatenate(place), numbers=numbers)
+        files.write_atomically(self._folder, f"{number:06d}.npz", stream.getvalue())
         self._new, self._written = [], time.monotonic()
 
     def stop(self) -> str:
@@ -191,17 +190,15 @@ def _read(folder: Path) -> dict[tuple[str, int, int], Float[np.ndarray, "w"]]:
     found: dict[tuple[str, int, int], np.ndarray] = {}
     for file in sorted(folder.glob(RESULTS)):
         try:
-            with files.opened(file, folder) as stream:
-                table = arrays.read_parquet(stream, file).combine_chunks()
-            if not table.schema.equals(SCHEMA):
-                raise InputError(f"{file}: other columns")
-        except (InputError, OSError) as error:
+            data = arrays.read_arrays(file, folder)
+            steps, place = json.loads(data["steps"].tobytes()), data["place"].astype(int)
+            each = np.split(data["numbers"].astype(float), np.cumsum(place[:-1, 3]))
+            own = {(steps[k], s, t): row for (k, s, t, _), row in zip(place.tolist(), each, strict=True)}
+        except (InputError, OSError, ValueError, TypeError, LookupError) as error:
             words = f"{files.cause(error, file)}; its results are computed again"
             warnings.warn(f"{file} is damaged: {words}", Note, stacklevel=4)
-            continue
-        numbers = table["numbers"].combine_chunks()
-        each = np.split(numbers.flatten().to_numpy(zero_copy_only=False), numbers.offsets.to_numpy()[1:-1])
-        found |= dict(zip(zip(*(table[name].to_pylist() for name in SCHEMA.names[:3]), strict=True), each, strict=True))
+        else:
+            found |= own
     return found
 
 

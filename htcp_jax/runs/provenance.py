@@ -15,7 +15,7 @@ import jax
 
 import htcp_jax
 from htcp_jax.backend import default_device
-from htcp_jax.spec import Registry
+from htcp_jax.spec import TASK_ROWS, PlanConfig, Registry, obstacle_kind
 from htcp_jax.system import files as io_files
 
 
@@ -91,6 +91,12 @@ def code_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
             data = b"".join(map(io_files.read_bytes, files))
             found[f"{added.noun} {name}"] = hashlib.sha256(data).hexdigest()
     return found
+
+
+def code_of_kinds(config: PlanConfig) -> dict[str, str]:
+    """Return `code_of` the obstacles and task rows in a configuration that other packages define."""
+    obstacles = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in config.cell.obstacles))
+    return obstacles | code_of(TASK_ROWS, (row.name for row in config.task))
 
 
 def _source_files(value: Any) -> list[Path]:

@@ -27,10 +27,10 @@ from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.runs.input_files import anchor_files, file_hashes
+from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import plan_here
 from htcp_jax.runs.manifest import Manifest
-from htcp_jax.runs.provenance import code_of, planned_by
+from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.shards import Shard, ShardSizes
@@ -95,7 +95,7 @@ def sweep(
         platform = "gpu" if on != "here" and spec.config.ray.num_gpus else first.platform
         spec = spec.on(platform)
         batch = spec.batch(limit)
-        requested = requested_manifest(spec, batch, chosen, limit)
+        requested = _manifest(spec, batch, chosen, limit)
         cores = devices.cores() if on == "here" else max(1, int(spec.config.ray.num_cpus))
         sizes = ShardSizes.on(platform, cores, batch.scenarios.targets.shape[1])
         if shard_scenarios is not None:
@@ -169,7 +169,7 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with output_files.made_folder(folder):
-        run = writer.begin(folder, requested_manifest(spec, batch, tuple(plans), None))
+        run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None))
         missing = [Shard(method, span) for method in plans for span in run.missing(method)]
         for method, span in ShardSizes(shard_scenarios, shard_scenarios).cut(missing):
             own = plans[method].rows(slice(span.first, span.last + 1))
@@ -201,19 +201,9 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def requested_manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None) -> Manifest:
+def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None) -> Manifest:
     """Return the manifest of a requested run; it contains no shards yet."""
-    config = spec.config.model_dump(mode="json")
-    grid = [grid_axes.group_record(group, spec.stated) for group in spec.groups]
-    named = anchor_files(config)
-    for axis in (axis for group in grid for axis in group["axes"]):
-        named += [
-            (key, name)
-            for key, words in grid_axes.FILE_KEYS.items()
-            for name in axis.get(key, {}).get("values", ())
-            if name not in words
-        ]
-    files = file_hashes(named)
+    config, grid, files = recorded_inputs(spec)
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
         name=spec.name,
@@ -235,9 +225,7 @@ def requested_manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limi
 
 def _code(spec: Sweep, methods: tuple[str, ...]) -> dict[str, str]:
     """Return the SHA-256 of the code of methods, obstacles and task rows that other packages define."""
-    kinds = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in spec.config.cell.obstacles))
-    rows = code_of(TASK_ROWS, (row.name for row in spec.config.task))
-    return code_of(registry.METHODS, methods) | kinds | rows
+    return code_of(registry.METHODS, methods) | code_of_kinds(spec.config)
 
 
 def _planner(
