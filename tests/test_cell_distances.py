@@ -348,7 +348,7 @@ def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are():
     b = a + np.stack([rng.uniform(-0.3, 0.3, 6) for _ in a])
     places = (a[:, None] + np.linspace(0, 1, 51)[:, None] * (b - a)[:, None]).reshape(-1, 6)
     scene, where = Scene(robot, (everything(),)), made_once.nominal()
-    found = jax.jit(lambda *scene: jax.lax.map(lambda path: prove(*scene, *path), (a, b)))(scene, where)
+    found = jax.jit(lambda *scene: jax.lax.map(lambda path: prove(*scene, *path, kept=0.5), (a, b)))(scene, where)
     truth = answer(clearances, places).reshape(24, -1).min(axis=1)
     at_place = answer(clearances, a + np.asarray(found.place)[:, None] * (b - a)).min(axis=1)
     valid, colliding = (np.asarray(found.verdict) == each for each in (PathVerdict.VALID, PathVerdict.IN_COLLISION))

@@ -293,7 +293,7 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     arm = arm_with_pieces()
     scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
     thick = scene._replace(robot=dataclasses.replace(arm, pieces=None))
-    proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b))
+    proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b, kept=0.5))
     places = jax.jit(jax.vmap(lambda x: clearance(arm, scene.obstacles, WHERE, x)))
     gained = 0
     for x in made_once.configurations(arm, 30, seed=5):

@@ -151,7 +151,7 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
 def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_refuted_one_does_not(tmp_path):
     robot, model = arm("seven", tmp_path)
     own, where, rng = make_self_collision(robot), made_once.nominal(), np.random.default_rng(0)
-    proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b))
+    proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b, kept=0.5))
     verdicts = []
     for a in made_once.configurations(robot, 24):
         b = a + rng.uniform(-0.6, 0.6, 7)

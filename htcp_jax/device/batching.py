@@ -62,8 +62,8 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
 
     The compiled function is run(scene, lanes, *tables). Tables have C rows, of which the first `lanes` are computed;
     rows of the results from `lanes` on are undefined. With width 1 the function is not batched: a loop then runs only
-    as long as its lane needs, and the executable is a fifth shorter. Lanes then follow each other, and a `Loop` may pass
-    on a memory.
+    as long as its lane needs, and the executable is a fifth shorter. Lanes then follow each other, and a `Loop` may
+    pass on a memory.
 
     Args:
         function: Function of (scene, *one lane).
