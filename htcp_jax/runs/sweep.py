@@ -51,6 +51,7 @@ class SweepProgress(NamedTuple):
     scenarios: int
     targets_tracked: int
     targets: int
+    starts: int | None = None  # of the current shard, see `planning.batch.Progress`
 
 
 def sweep(
@@ -302,7 +303,7 @@ def _progress(manifest: Manifest, method: str, shard: ShardProgress | None) -> S
     done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
     done += sum(record.last - record.first + 1 for record in kept)
     tracked += sum(record.tracked for record in kept)
-    return SweepProgress(method, done, manifest.count, tracked, manifest.targets)
+    return SweepProgress(method, done, manifest.count, tracked, manifest.targets, shard and shard.starts)
 
 
 def _resume_message(run: Run) -> str:
