@@ -21,11 +21,11 @@ from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.io.parts.workpiece_source import load_workpiece
-from htcp_jax.model.kinematics import tcp_position, tip_segment
+from htcp_jax.model.kinematics import tcp_position, tip_bounds, tip_segment
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
-from htcp_jax.motion.collision_checker import PLACES
+from htcp_jax.motion.collision_checker import PLACES, TIP_STEP_M
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion_check import check_remaining_paths, tighten, verify_motions
@@ -151,6 +151,30 @@ def test_the_bare_tip_of_a_long_path_passes_through_no_triangle_between_the_firs
         wall = TipGuard(WallTriangles(np.stack([triangle + offset, large])), 0.0)
         guarded = CollisionChecker(checker().executor, Settings(), wall)
         assert guarded.path_clear(inputs, a, b).tolist() == [free]
+
+
+def test_walls_beyond_the_tip_s_travel_are_those_that_no_place_passes_through():
+    """Compare with all places of long paths, whose numbers the bound on the tip's travel gives, among small walls."""
+    scenario, x = one()
+    pose, count = np.array(scenario.T_world_workpiece), 24
+    pose[2, 3] += 10
+    far = replace(scenario, T_world_workpiece=pose, interior_plane=np.array([0, 0, 0, 1e3]))
+    rng, where = np.random.default_rng(5), place(86)[0]._replace(T_world_workpiece=jnp.asarray(pose))
+    a, b = x + rng.uniform(-0.5, 0.5, (2, count, len(x)))
+    robot = made_once.robot()
+    seen = np.asarray(TIPS(robot, where, a + rng.random((count, 1)) * (b - a))).mean(axis=1)
+    walls = seen[: 2 * count // 3, None] + rng.uniform(-0.02, 0.02, (2 * count // 3, 3, 3))
+    large = 100 + np.eye(3)[None]  # far away; without it the search would cut the tip into pieces of micrometres
+    wall = TipGuard(WallTriangles(np.concatenate([walls, large])), 0.0)
+    counts = np.ceil(np.abs(b - a) @ tip_bounds(robot).speeds / TIP_STEP_M).astype(int)
+    passes = []
+    for k in range(count):
+        q = np.concatenate([places(a[k], b[k], n) for n in (PLACES, counts[k])])
+        tips = np.asarray(TIPS(robot, where, np.resize(q, (max(counts) + PLACES, len(x)))))
+        passes.append(bool(wall.passes(tips[:, 0], tips[:, 1]).any()))
+    inputs = lane_inputs(stack([far]), np.zeros(count, int), np.zeros(count, int))
+    free = CollisionChecker(checker().executor, Settings(), wall).path_clear(inputs, a, b)
+    assert free.tolist() == np.logical_not(passes).tolist() and 5 < free.sum() < count - 5
 
 
 def test_the_tcp_of_a_proven_edge_stays_in_its_tube():

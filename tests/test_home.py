@@ -3,16 +3,21 @@
 A start is given or chosen. All motions are checked at sampled points by brute force.
 """
 
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 
 import made_once
 import numpy as np
 import pytest
+import toy
 from small_motions import SMALL, check_motions, check_segment, first_of, in_duct, plan_by_beam, same, scenario, segments
 from stranger_jobs import car_job
 
 import htcp_jax
+from htcp_jax.device import Executor
+from htcp_jax.model.scenario import NOT_REFUSED
+from htcp_jax.motion import leave_home
 from htcp_jax.motion.motion import motion, motion_figures, transfers
 from htcp_jax.motion.start_check import check_start
 from htcp_jax.planning.batch import plan
@@ -105,6 +110,36 @@ def test_a_home_in_collision_is_named_with_its_body_and_depth():
         htcp_jax.InputError, match=r"home is in collision: \w+ \(\w+\) is \d+\.\d{3} mm inside the workpiece"
     ):
         check_start(made_once.robot(), made_once.duct(), one)
+
+
+def test_starts_of_many_scenarios_take_the_calls_of_one_and_are_those_of_each_alone(monkeypatch):
+    """Count the calls of lane functions: together as many as for the scenario that needs most."""
+    near = {"start": None, "home": toy.START}
+    given = [toy.scenario(k, shift=(0.0, 0.01 * k, 0.0), **near) for k in range(5)]
+    given[2:2] = [toy.scenario(5, start=toy.START, home=tuple(np.add(toy.START, 0.1))), toy.scenario(6, start=None)]
+    counts, call = Counter(), Executor.__call__
+
+    def counted(self, function, *of):
+        counts[function.name] += 1
+        return call(self, function, *of)
+
+    monkeypatch.setattr(Executor, "__call__", counted)
+
+    def begun(scenarios):
+        counts.clear()
+        problem, from_home = leave_home(toy.problem(scenarios, threads=1))
+        return problem.scenarios, from_home, dict(counts)
+
+    scenarios, from_home, together = begun(given)
+    most = Counter()
+    for k, one in enumerate(given):
+        alone, own, calls = begun([one])
+        most |= Counter(calls)
+        np.testing.assert_array_equal(alone.x_start[0], scenarios.x_start[k])
+        assert alone.refused[0] == scenarios.refused[k] and (0 in own) == (k in from_home)
+        np.testing.assert_array_equal(own.get(0, 0), from_home.get(k, 0))
+    assert len(from_home) == 6 and (scenarios.refused == NOT_REFUSED).all()
+    assert together["settle"] <= 2 and sum(together.values()) <= 3 * sum(most.values())
 
 
 def off_its_lines(number, rotation=(0.4, 0.1)):

@@ -246,6 +246,32 @@ def test_of_each_scenario_s_pairs_that_is_joined_which_takes_least_whoever_else_
         np.testing.assert_array_equal(alone[kept - 2 * k], sooner[kept])
 
 
+def test_the_pair_kept_is_the_one_with_the_fewest_rounds_and_others_are_abandoned_when_it_is_known(monkeypatch):
+    """Compare with the calls of each pair alone: the others take part until the kept pair's path is found."""
+    a, b = ends()
+    s = np.flatnonzero([own is not None and len(own) > 0 for own in found()])[:1].repeat(4)
+    pair, lanes, call = np.arange(4), [], Executor.__call__
+
+    def counted(self, function, *tables):
+        lanes.append(len(tables[1]))
+        return call(self, function, *tables)
+
+    monkeypatch.setattr(Executor, "__call__", counted)
+
+    def joined_of(which, **how):
+        lanes.clear()
+        return join(checker(), scenarios(), s[which], pair[which], a[s[which]], b[s[which]], SETTINGS, **how), [*lanes]
+
+    alone = [joined_of(np.array([k])) for k in pair]
+    rounds, kept = min((len(calls), k) for k, (paths, calls) in enumerate(alone) if paths[0] is not None)
+    reported = []
+    paths, together = joined_of(pair, soonest=True, report=reported.append)
+    assert [k for k in pair if paths[k] is not None] == [kept] and len(together) == rounds and sum(reported) == 1
+    found_in = rounds - SETTINGS.search_shortcuts
+    others = sum(sum(calls[:found_in]) for k, (_, calls) in enumerate(alone) if k != kept)
+    assert found_in > 2 and sum(together) == sum(alone[kept][1]) + others
+
+
 def test_a_tree_whose_first_round_proves_no_step_keeps_its_root():
     root = np.zeros(3)
     root.flags.writeable = False  # as arrays of JAX are

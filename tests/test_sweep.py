@@ -219,6 +219,22 @@ def test_a_signal_stops_the_planner_in_the_middle_of_a_shard_and_leaves_nothing(
     assert reported[-1].targets_tracked < reported[-1].targets and not (small / "run").exists()
 
 
+def test_a_signal_while_starts_are_joined_to_home_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    toy.write_sweep(tmp_path, start_rad="auto", home_rad=list(toy.START))
+    (tmp_path / "grid.yaml").write_text("config: job.yaml\ngrid: [{workpiece.shift_m.y: [0.0, 0.01, 0.02]}]\n")
+    reported = []
+
+    def interrupt(now):
+        reported.append(now)
+        if now.starts is not None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(Interrupted, match="stopped before anything was finished; nothing was written"):
+        sweep("grid.yaml", "baseline", "run", progress=interrupt)
+    assert reported[-1].starts == 0 and not reported[-1].targets_tracked and not (tmp_path / "run").exists()
+
+
 class Stopped(Method):
     """The baseline, during whose second shard a SIGTERM arrives."""
 

@@ -135,9 +135,14 @@ class _TimeLeftColumn(TimeRemainingColumn):
         return super().render(task).append(" in all" if task.finished else " left")
 
 
+def _stage(starts: int | None) -> str:
+    """Return what is done before the first target is tracked, as text for a progress bar."""
+    return "loading and compiling; " if starts is None else f"{starts:,} starts chosen; "
+
+
 @contextmanager
 def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
-    """Show one progress bar per method: loading and compiling, then finished scenarios, tracked targets, time left."""
+    """Show one progress bar per method: chosen starts, then finished scenarios, tracked targets, time left."""
     columns = (
         TextColumn("{task.description:<14}"),
         BarColumn(),
@@ -150,7 +155,8 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
         def show(now: sweeps.SweepProgress) -> None:
             # The bar counts decided targets: all targets of a finished scenario, tracked or not.
             decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
-            stage = "loading and compiling; " if decided == first.setdefault(now.method, decided) < now.targets else ""
+            waits = decided == first.setdefault(now.method, decided) < now.targets
+            stage = _stage(now.starts) if waits else ""
             fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
             fields["stage"] = stage
             if now.method not in tasks:

@@ -19,7 +19,7 @@ from htcp_jax.device import kept_executables
 from htcp_jax.device.devices import cores
 from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
-from htcp_jax.model import Task
+from htcp_jax.model import Task, kinematics
 from htcp_jax.settings import Settings
 
 # XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's links are
@@ -226,6 +226,11 @@ class Executor:
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper joint limits [rad or m]."""
         return np.asarray(self._scene.robot.lower), np.asarray(self._scene.robot.upper)
+
+    @property
+    def tip_bounds(self) -> kinematics.TipBounds:
+        """Bounds on the motion of the arm's bare tip."""
+        return kinematics.tip_bounds(self._scene.robot)
 
     @property
     def sizes(self) -> tuple[int, int]:

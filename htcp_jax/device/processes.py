@@ -84,7 +84,7 @@ def spread(
 ) -> Spread:
     """Call call(set_counts, *shared, part) in worker processes, once for every part; return the results.
 
-    The argument set_counts(a, b) is a function that sets the two counts of the part's progress.
+    The argument set_counts(a, b, c) is a function that sets the three counts of the part's progress.
 
     Args:
         processes: Number of workers.
@@ -92,7 +92,7 @@ def spread(
         shared: Pickled objects for all parts, from `portable`. They are sent to each worker once, and kept for the next
             call.
         parts: The last argument of each call.
-        report: Function that is called repeatedly with the counts of all P parts (P, 2); an exception in it ends the
+        report: Function that is called repeatedly with the counts of all P parts (P, 3); an exception in it ends the
             work.
         ready: Function that is called in each worker before the first part, for imports that take time.
 
@@ -103,7 +103,7 @@ def spread(
     with temporary_folder() as folder:
         file = folder / sha256(shared).hexdigest()
         file.write_bytes(shared)
-        board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), 2))
+        board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), COUNTS))
         with _signals_blocked():
             workers, began = _executor(processes), time.perf_counter()
             started = [workers.submit(ready) for _ in range(processes)]
@@ -157,7 +157,7 @@ def _executor(processes: int) -> Any:
 
 # Code that runs in a worker
 
-BOARD = "board"
+BOARD, COUNTS = "board", 3  # file with the counts of all parts; number of counts of a part
 # Workers do not use the GPUs, which the calling process has. If psutil is installed, loky replaces a worker whose
 # memory grows by 300 MB, as a leak; the large limit prevents this, as workers keep executables.
 ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
@@ -185,7 +185,7 @@ def _work(file: Path, number: int, call: Callable, part: Any) -> Any:
     if file.name not in _kept:
         _kept.clear()
         _kept[file.name] = pickle.loads(file.read_bytes())
-    board = np.memmap(file.with_name(BOARD), np.int64, "r+").reshape(-1, 2)
+    board = np.memmap(file.with_name(BOARD), np.int64, "r+").reshape(-1, COUNTS)
 
     def notify(*numbers: int) -> None:
         board[number] = numbers

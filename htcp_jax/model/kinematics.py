@@ -56,11 +56,38 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     Only capsules of the last link that has capsules are considered; fixtures are ignored. The nearest end is selected
     at x = 0, so that it is the same in every configuration.
     """
-    links = np.delete(robot.capsule_link, robot.attached)  # fixtures come last
-    last = np.flatnonzero(links == max(links))
+    last = _last_capsules(robot)
     zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
     away = zero - tcp_position(robot, jnp.zeros_like(x))[None]
     return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])
+
+
+def _last_capsules(robot: Robot) -> np.ndarray:
+    """Return the indices of the capsules of the last link that has capsules, without fixtures, which come last."""
+    links = np.delete(robot.capsule_link, robot.attached)
+    return np.flatnonzero(links == max(links))
+
+
+class TipBounds(NamedTuple):
+    """Bounds on the motion of the bare tip, without the tool's extension."""
+
+    speeds: Float[np.ndarray, "N"]  # bounds on the speed of the tip's points per unit speed of each joint [m/rad or 1]
+    is_rigid: bool  # True if both ends of the tip are fixed to the last link
+
+
+def tip_bounds(robot: Robot) -> TipBounds:
+    """Return bounds on the motion of the bare tip, see `tip_segment`.
+
+    A speed's bound is the sum of the lengths of the links after the joint, of the tip's distance from its link's
+    origin, and of the slides' travel.
+    """
+    slides, last = np.array(robot.slides), _last_capsules(robot)
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
+    links += np.where(slides, np.maximum(np.abs(robot.lower), np.abs(robot.upper)), 0.0)[1:]
+    ends = np.concatenate([np.asarray(end)[last] for end in (robot.capsule_p, robot.capsule_q)])
+    tip = np.linalg.norm(np.vstack([ends, np.asarray(robot.T_link_tcp)[:3, 3]]), axis=1).max()
+    speeds = np.where(slides, 1.0, np.append(np.cumsum(links[::-1])[::-1], 0.0) + tip)
+    return TipBounds(speeds, robot.capsule_link[last[0]] == len(slides) - 1)
 
 
 class ArmShape(NamedTuple):

@@ -21,11 +21,9 @@ from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.motion.step_functions import (
     ADVANCE,
     CLEAR,
-    PLACES,
     PROVE,
     SETTLE,
     TIP,
-    TIPS,
     ProofResolution,
     State,
     advance_of,
@@ -34,6 +32,8 @@ from htcp_jax.numerics import ragged_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
+PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
+BLOCK = 10  # number of these intervals that are discarded together
 TIP_STEP_M = 0.5e-3  # largest travel of the tip within such an interval
 
 Configurations = Float[np.ndarray, "n N"]
@@ -56,6 +56,7 @@ class CollisionChecker:
     def __init__(self, executor: Executor, settings: Settings, guard: TipGuard | None = None):
         self.executor, self.task = executor, executor.task
         self._settings, self._guard, self._advance = settings, guard, advance_of(settings)
+        self._tip = executor.tip_bounds if guard is not None else None
 
     def states(self, inputs: LaneInputs, q: Configurations) -> State:
         """Return the states of configurations q at their targets: clearance, residual, TCP and linearisation."""
@@ -114,7 +115,8 @@ class CollisionChecker:
             resolution_m: The proof is D > -resolution_m, see `query_on`.
             deepest: Maximum number of halvings, see `query_on`.
             tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most
-                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION.
+                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION. Where
+                all walls are farther than the tip can travel, the configurations are not measured.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
@@ -139,34 +141,54 @@ class CollisionChecker:
         return self._tip_free_along(inputs, a, b, clear)
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
+        """Return True for paths marked by `among` whose bare tip does not pass through a wall, see `edges`.
+
+        Places are not measured if the tip is farther from all walls, at a place before or after, than it can travel.
+        """
         good = np.array(among)
-        if self._guard is not None and good.any():
-            inputs, a, b = tables.gather((inputs, a, b), good)
-            tips, path = self._tips_along(inputs, a, b, np.full(len(a), PLACES))
-            free = ~self._passes(tips, path, len(a))
-            travel = np.linalg.norm(np.diff(tips.reshape(len(a), -1, 2, 3), axis=1), axis=-1).max(axis=(1, 2))
-            counts = np.ceil(PLACES * travel / TIP_STEP_M).astype(int)
-            far = free & (counts > PLACES)
-            if far.any():
-                free[far] = ~self._passes(*self._tips_along(*tables.gather((inputs, a, b, counts), far)), int(far.sum()))
-            good[good] = free
+        if self._guard is None or not good.any():
+            return good
+        turned = np.abs(b - a)
+        travel = turned @ self._tip.speeds + np.abs(inputs.tool_extension_m) * turned.sum(axis=1)  # at most [m]
+        path = np.flatnonzero(good)
+        path, _ = self._near_walls(inputs, a, b, travel, path, np.zeros_like(path), PLACES)
+        path, first = np.repeat(path, PLACES // BLOCK), np.tile(np.arange(0, PLACES, BLOCK), len(path))
+        path, first = self._near_walls(inputs, a, b, travel, path, first, BLOCK)
+        path, place = np.repeat(path, BLOCK), (first[:, None] + np.arange(BLOCK)).ravel()
+        path, place = path[place > 0], place[place > 0]
+        if not len(path):
+            return good
+        tips = self._tips(inputs, a, b, path, place / PLACES)
+        good[path[self._guard.passes(tips[:, 0], tips[:, 1])]] = False
+        counts = np.ceil(travel / TIP_STEP_M)
+        near = good[path] & (counts[path] > PLACES)
+        near[near] = self._guard.may_pass(tips[near, 0], tips[near, 1], travel[path[near]] / PLACES, self._tip.is_rigid)
+        path, place, counts = path[near], place[near], counts[path[near]]
+        begin = np.where(place == 1, 1, np.ceil((place - 0.5) * counts / PLACES))
+        end = np.where(place == PLACES - 1, counts, np.ceil((place + 0.5) * counts / PLACES))
+        row, nth = ragged_rows((end - begin).astype(int))
+        if len(row):
+            tips = self._tips(inputs, a, b, path[row], (begin[row] + nth) / counts[row])
+            good[path[row[self._guard.passes(tips[:, 0], tips[:, 1])]]] = False
         return good
 
-    def _passes(self, tips: Float[np.ndarray, "m 2 3"], path: Int[np.ndarray, "m"], paths: int) -> Rows:
-        """Return True for each path on which one of the tips passes through a wall."""
-        passes = np.zeros(paths, bool)
-        passes[path[self._guard.passes(tips[:, 0], tips[:, 1])]] = True
-        return passes
+    def _near_walls(
+        self, inputs: LaneInputs, a: Configurations, b: Configurations, travel, path, first, places: int
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Return the blocks of `places` places, by path and first place, in which the tip may pass through a wall."""
+        if not len(path):
+            return path, first
+        tips = self._tips(inputs, a, b, path, (first + places / 2) / PLACES)
+        farthest = travel[path] * (places + 1) / 2 / PLACES  # to half an interval before and after the block
+        near = self._guard.may_pass(tips[:, 0], tips[:, 1], farthest, self._tip.is_rigid)
+        return path[near], first[near]
 
-    def _tips_along(
-        self, inputs: LaneInputs, a: Configurations, b: Configurations, counts: Int[np.ndarray, "n"]
-    ) -> tuple[Float[np.ndarray, "m 2 3"], Int[np.ndarray, "m"]]:
-        """Return the tip's ends [m] at counts - 1 evenly spaced configurations of each path, and the paths' indices."""
-        path, nth = ragged_rows(-(-(counts - 1) // (PLACES - 1)))
-        first = nth * (PLACES - 1)
-        tips = self.executor(TIPS, *tables.gather((inputs, a, b), path), first, counts[path])
-        is_on_path = first[:, None] + np.arange(PLACES - 1) < counts[path, None] - 1
-        return tips[is_on_path], np.repeat(path, is_on_path.sum(axis=1))
+    def _tips(
+        self, inputs: LaneInputs, a: Configurations, b: Configurations, path: Int[np.ndarray, "m"], share: np.ndarray
+    ) -> Float[np.ndarray, "m 2 3"]:
+        """Return the tip's ends [m] at shares of the way along paths."""
+        x = a[path] + share[:, None] * (b[path] - a[path])
+        return self.executor(TIP, tables.gather(inputs, path), x)
 
 
 def prove_call(

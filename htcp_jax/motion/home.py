@@ -118,24 +118,25 @@ class HomeConnector:
         return rows[clear]
 
     def _sampled(self, rows: Rows, round_: int) -> Trials:
-        """Return one round of trials: valid configurations at the first targets, the clearest of each scenario first."""
+        """Return a round of trials: valid configurations at the first targets, the clearest of each scenario first."""
         if not len(rows):
             return Trials(rows, rows, self._scenarios.x_start[rows])
+        self._problem.progress(0, 0, 0)
         at, lane = other_configurations(self._problem, self._checker, rows, FIRST_ROUND + round_)
         order, place = np.lexsort((-at.clearance, lane)), np.arange(len(lane)) - np.searchsorted(lane, lane)
         pair = PAIR + round_ * MOST_TRIED + place
         return tables.gather(Trials(rows[lane], pair, at.x[order]), place < MOST_TRIED)
 
     def _join(self, trials: Trials) -> None:
-        """Join home to each scenario's trials, and store the one joined in the fewest rounds of queries as its start."""
+        """Join home to trials, and store the one joined in the fewest rounds of queries as its scenario's start."""
         scenarios, settings = self._scenarios, self._problem.settings
-        self._without_start(np.unique(trials.scenario), Status.HOME_NOT_JOINED)
-        group = (trials.pair - PAIR) % MOST_TRIED // TOGETHER
+        rows = self._without_start(np.unique(trials.scenario), Status.HOME_NOT_JOINED)
+        group, report = (trials.pair - PAIR) % MOST_TRIED // TOGETHER, partial(self._problem.progress, 0, 0)
         for number in range(MOST_TRIED // TOGETHER):
-            now = tables.gather(trials, (group == number) & np.isin(trials.scenario, self._not_joined(trials.scenario)))
-            s, pair, x = now
-            report = partial(self._problem.progress, 0, 0)
-            joined = join(self._checker, scenarios, s, pair, scenarios.x_home[s], x, settings, soonest=True, report=report)
+            now = (group == number) & np.isin(trials.scenario, self._not_joined(rows))
+            s, pair, x = tables.gather(trials, now)
+            home = scenarios.x_home[s]
+            joined = join(self._checker, scenarios, s, pair, home, x, settings, soonest=True, report=report)
             found = zip(s.tolist(), x, joined, strict=True)
             self._starts |= {s: Start(x, via_points=each) for s, x, each in found if each is not None}
 

@@ -171,9 +171,7 @@ class _JointTree(Tree):
         path = self.path(node)
         return self.x[path[::-1] if self.backwards else path]
 
-    def extend(
-        self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float, left: int = 0
-    ) -> Joining:
+    def extend(self, node: Int[np.ndarray, "m"], goal: Float[np.ndarray, "m N"], step: float, left: int = 0) -> Joining:
         """Extend each node towards its goal, step by step while steps are proven; return the last nodes."""
         node, branches = node.copy(), np.arange(len(node))
         while len(branches):

@@ -23,7 +23,6 @@ from htcp_jax.types import Anywhere, Float, Int, Joints
 
 STEP_ROUNDING = 1e-6  # tolerance of QP solvers, relative to the longest joint step
 STEPS_PER_CHUNK = 5  # step QPs, or null-space steps, per call
-PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
 
 
 class State(NamedTuple):
@@ -183,30 +182,6 @@ def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     return in_workpiece(lane, kinematics.tip_segment(scene.robot, x))
 
 
-def tips_along(settings: Settings, scene: Scene, lane: LaneInputs, a, b, first, count):
-    """Return the tip's ends, as `tip` does, at PLACES - 1 configurations of the straight joint path from a to b.
-
-    Args:
-        settings: Not used.
-        scene: The scene.
-        lane: Scenario and target of the lane.
-        a: Start of the path [rad or m].
-        b: End of the path [rad or m].
-        first: Index of the first configuration.
-        count: Number of equal intervals of the path; configuration k lies between intervals k and k + 1.
-    """
-    place = (first + 1 + jnp.arange(PLACES - 1)) / count
-    return jax.vmap(lambda s: tip(settings, scene, lane, a + s * (b - a)))(place)
-
-
-class ProofResolution(NamedTuple):
-    """Resolution of a proof, see `clearance.proof.motion_proof.query_on`."""
-
-    kept: Float[jax.Array, ""]  # share of D to prove [1]
-    resolution_m: Float[jax.Array, ""]  # the proof is D > -resolution_m [m]
-    deepest: Int[jax.Array, ""]  # maximum number of halvings
-
-
 def prove_path(
     settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: motion_proof.Tube, closely: ProofResolution
 ) -> Loop:
@@ -275,7 +250,6 @@ CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_func
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)
-TIPS = lane_function.LaneFunction("tips", tips_along, lane_function.SAMPLED)
 PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks)
 
 

@@ -54,9 +54,7 @@ def other_configurations(
         own = np.arange(first, min(first + TOGETHER, count))
         drawn, lane = drawn_configurations(problem, checker, scenario[own], round_[own]), np.repeat(own, DRAWS)
         here = projected(problem, checker, scenario[lane], target[lane], np.concatenate(drawn))
-        here, lane = tables.gather(
-            (here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here)
-        )
+        here, lane = tables.gather((here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here))
         apart = dispersed(here.x, lane, settings.beam_width, settings.beam_separation_rad)
         parts.append(tables.gather((here, lane), apart))
     return tables.concatenate(parts)

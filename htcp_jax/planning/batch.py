@@ -35,7 +35,7 @@ class Progress(NamedTuple):
     scenarios: int
     targets_tracked: int
     targets: int
-    starts: int | None = None  # number of chosen starts that are joined to home; None before the search for them
+    starts: int | None = None  # number of starts chosen, and joined to home, so far; None before the first attempt
 
 
 def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Progress], None] | None = None) -> Plans:
@@ -150,8 +150,8 @@ def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable 
     parts = [tables.gather(scenarios, own) for own in rows]
 
     def report(reported: np.ndarray) -> None:
-        done, tracked = reported.sum(axis=0).tolist()
-        progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum())))
+        done, tracked, starts = reported.sum(axis=0).tolist()
+        progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum()), starts or None))
 
     call, ready = partial(_plan_part, method.name), partial(methods.find, method.name)
     found, start_s = worker_processes.spread(problem.processes, call, shared, parts, progress and report, ready)
@@ -162,10 +162,10 @@ def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable 
 
 def _plan_part(method: str, notify: Callable, given: tuple, how: dict[str, Any], scenarios: Scenario) -> Plans:
     """Plan some scenarios in another process."""
-    notify(int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()), 0)
+    notify(int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()), 0, 0)
 
     def progress(now: Progress) -> None:
-        notify(now.scenarios_done, now.targets_tracked)
+        notify(now.scenarios_done, now.targets_tracked, now.starts or 0)
 
     robot, workpiece, *others = given
     return plan(Problem(robot, workpiece, scenarios, *others, **how), method, progress)

@@ -97,4 +97,4 @@ def _add_up(
     """Report the total progress, given the progress `now` of one planner call and the `finished` plans."""
     done = sum(len(plans.status) for plans in finished) + now.scenarios_done
     tracked = sum(int(plans.tracked.sum()) for plans in finished) + now.targets_tracked
-    report(method, batch.Progress(done, count, tracked, targets))
+    report(method, batch.Progress(done, count, tracked, targets, now.starts))

@@ -82,9 +82,7 @@ class TipGuard:
 
     def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
         """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall."""
-        length = np.linalg.norm(q - p, axis=1)
-        kept = np.maximum(length - self._contact, 0.0)
-        move = (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
+        kept, move = self._shortened(p, q)
         tip = self._near_tips(p + move / 2, kept.max(initial=0.0) / 2)
         row, middle = _wall_samples(p[tip], move[tip], np.ceil(kept[tip] / self._wall.grain).astype(int))
         near = np.flatnonzero(self._is_near(middle))
@@ -107,6 +105,34 @@ class TipGuard:
         """Return True for points that may be within a radius of a piece near a wall [m]."""
         reach = (self._reach + np.asarray(radius_m)) * (1 + INCLUSIVE)
         return self._tree.query(points, distance_upper_bound=reach.max(initial=0.0))[0] <= reach
+
+    def may_pass(
+        self, p: Ends, q: Ends, travel: Float[np.ndarray, "n"], is_rigid: bool = True
+    ) -> Bool[np.ndarray, "n"]:
+        """Return False where no segment whose ends are at most `travel` [m] from p and q passes through a wall.
+
+        Args:
+            p: First ends of the segments [m].
+            q: Second ends, at the TCP [m].
+            travel: Travel of the ends [m].
+            is_rigid: True if the segments move rigidly; otherwise the contact length is not subtracted.
+        """
+        length, move = self._shortened(p, q) if is_rigid else (np.linalg.norm(q - p, axis=1), q - p)
+        farthest = (self._reach + length / 2 + travel) * (1 + INCLUSIVE)
+        middle = p + move / 2
+        beyond = np.maximum(
+            np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0
+        )  # the box of all walls
+        near = ((length > 0) | (not is_rigid)) & (np.linalg.norm(beyond, axis=1) <= farthest)
+        most = farthest[near].max(initial=0.0) * (1 + INCLUSIVE)
+        near[near] = self._tree.query(middle[near], distance_upper_bound=most)[0] <= farthest[near]
+        return near
+
+    def _shortened(self, p: Ends, q: Ends) -> tuple[Float[np.ndarray, "n"], Ends]:
+        """Return the lengths of the segments after removal of the contact length at q [m], and the moves from p."""
+        length = np.linalg.norm(q - p, axis=1)
+        kept = np.maximum(length - self._contact, 0.0)
+        return kept, (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
 
 
 @cached_for_last(2)
