@@ -82,7 +82,8 @@ def finish(folder: Path, out: str, *more: str) -> subprocess.CompletedProcess:
 
 def without_progress(errors: str) -> list[str]:
     """Lines on stderr without the progress lines, whose number depends on the load of the machine."""
-    return [line for line in errors.splitlines() if not re.search(r" [-\d]+:[-\d]{2}(:[-\d]{2})?( left| in all)?$", line)]
+    time_left = re.compile(r" [-\d]+:[-\d]{2}(:[-\d]{2})?( left| in all)?$")
+    return [line for line in errors.splitlines() if not time_left.search(line)]
 
 
 def rows(folder: Path) -> dict[str, bytes]:

@@ -82,7 +82,7 @@ def test_progress_counts_what_all_processes_have_done():
 
 
 def test_what_a_worker_raises_arrives():
-    with pytest.raises(InputError, match="'nonsense' is not a QP solver; valid: clarabel"):
+    with pytest.raises(InputError, match="'nonsense' is not a QP solver; valid: auto, clarabel"):
         toy.planned(method="baseline", settings=replace(toy.SETTINGS, qp="nonsense"), processes=2)
 
 

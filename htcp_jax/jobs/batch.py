@@ -69,7 +69,7 @@ class Batch(NamedTuple):
 
 
 class _Shared(NamedTuple):
-    """What scenarios with the same sections of the configuration share."""
+    """Values that scenarios with the same sections of the configuration share."""
 
     cell: int  # index in `Batch.cells`
     inputs: PlannerInputs  # those in `Batch.cells` may have another path
@@ -151,7 +151,7 @@ def _scenarios(
 
 
 class _Builder:
-    """Builder of what scenarios share: each combination of sections, and each beginning, is built once.
+    """Builder of values that scenarios share: for each combination of sections, and each beginning, once.
 
     Attributes:
         cells: The distinct planner inputs, by number.
@@ -168,7 +168,7 @@ class _Builder:
         self._begins: dict[tuple, _Begin] = {}
 
     def shared(self, point: ScenarioPoint) -> _Shared:
-        """Return what a scenario shares with others."""
+        """Return the values that a scenario shares with others."""
         sections = tuple(id(getattr(point.config, key)) for key in SECTIONS)
         if sections not in self._shared:
             self._shared[sections] = self._build(point)
