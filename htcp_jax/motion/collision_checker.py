@@ -147,7 +147,9 @@ class CollisionChecker:
             counts = np.ceil(PLACES * travel / TIP_STEP_M).astype(int)
             far = free & (counts > PLACES)
             if far.any():
-                free[far] = ~self._passes(*self._tips_along(*tables.gather((inputs, a, b, counts), far)), int(far.sum()))
+                free[far] = ~self._passes(
+                    *self._tips_along(*tables.gather((inputs, a, b, counts), far)), int(far.sum())
+                )
             good[good] = free
         return good
 
