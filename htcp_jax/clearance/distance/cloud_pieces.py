@@ -3,6 +3,8 @@
 The distance is the largest height of the point over the piece's planes. This is a lower bound on the true distance. It
 is exact inside and above faces, and has the right sign everywhere. Planes at sharp edges and corners limit its error to
 10 % for a box.
+
+A search begins with one known point, and skips every cluster in which no point can be lower than it.
 """
 
 from functools import partial

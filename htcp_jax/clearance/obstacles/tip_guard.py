@@ -6,7 +6,8 @@ beyond its point's eighth neighbour, so that discs overlap where points are spre
 
 A triangle or disc lies in a ball about its middle. The grain is the radius of the largest of these balls. The tip is
 cut into pieces no longer than the grain. Anything that a piece crosses then has its middle within 1.5 grains of the
-piece's middle. A tree finds these candidates, which are then tested exactly.
+piece's middle. A tree finds these candidates, which are then tested exactly. Consecutive tips of a path are first
+excluded together, by the planes of the candidates of their mean.
 """
 
 import numpy as np
