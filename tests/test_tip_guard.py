@@ -58,6 +58,19 @@ def test_what_passes_through_a_mesh_is_found_and_nothing_else(shape):
     assert found.tolist() == expected and 50 < sum(expected) < 500
 
 
+@pytest.mark.parametrize("shape", MESHES)
+def test_tips_along_a_path_get_the_verdicts_of_the_same_tips_in_any_order(shape):
+    """Neighbours on slow and fast paths are excluded together; in a random order, nearly every tip is tested alone."""
+    rng, count = np.random.default_rng(2), 99
+    p, q = (np.repeat(each, count, axis=0) for each in tips(MESHES[shape], 60))
+    along = np.tile(np.arange(count) / count, 60)[:, None]
+    travel = rng.normal(size=(60, 3)) * rng.choice([0.0, 1e-3, 0.1], size=(60, 1))
+    p, q = (each + along * np.repeat(travel * turn, count, axis=0) for each, turn in ((p, 0.8), (q, 1.0)))
+    guard, order = TipGuard(WallTriangles(np.asarray(MESHES[shape].triangles)), 0.01), rng.permutation(len(p))
+    found = guard.passes(p, q)
+    assert found[order].tolist() == guard.passes(p[order], q[order]).tolist() and 0.1 < found.mean() < 0.9
+
+
 def test_an_edge_between_two_triangles_is_no_way_through():
     square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], float)
     s = np.linspace(0.01, 0.99, 97)

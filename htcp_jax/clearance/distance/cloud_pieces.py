@@ -3,6 +3,8 @@
 The distance is the largest height of the point over the piece's planes. This is a lower bound on the true distance. It
 is exact inside and above faces, and has the right sign everywhere. Planes at sharp edges and corners limit its error to
 10 % for a box.
+
+A search begins with one known point, and skips every cluster in which no point can be lower than it.
 """
 
 from functools import partial
@@ -99,7 +101,9 @@ def _along(planes: Float[Array, "D 4"], T: Float[Array, "4 4"], vectors) -> Floa
     return sum(planes[:, i, None] * own[i, None] for i in range(3))
 
 
-def _height_bounds(planes: Float[Array, "D 4"], T: Float[Array, "4 4"], discs: Float[Array, "8 n"]) -> Float[Array, "n"]:
+def _height_bounds(
+    planes: Float[Array, "D 4"], T: Float[Array, "4 4"], discs: Float[Array, "8 n"]
+) -> Float[Array, "n"]:
     """Return lower bounds on the heights of the points in discs over a piece [m], by the highest plane of each middle.
 
     No point of a disc is lower than its middle by more than |c| e + sqrt(1 - c^2) r, see `clusters`, with the cosine c

@@ -80,14 +80,20 @@ def piece_contact(placed: PlacedPiece, other: Body) -> PieceContact:
     )
 
 
-def face_contact(placed: PlacedPiece, other: PlacedPiece) -> PieceContact:
+def face_contact(placed: PlacedPiece, other: PlacedPiece, enough_m: Scalar | float = np.inf) -> PieceContact:
     """Return the contact of two pieces; overlapping pieces are compared along the normals of their faces only.
 
     The distance is exact for separate pieces. For overlapping ones it is a lower bound with the right sign, as pairs of
     edges are not tested. It takes a tenth of the time of `piece_contact`, and has no gradient.
+
+    Args:
+        placed: The first piece.
+        other: The second piece.
+        enough_m: Once the distance is known to be larger, a lower bound above it is returned [m].
     """
     a, b = jax.lax.stop_gradient((_in_world(placed), _in_world(other)))
-    near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction))
+    enough = jnp.maximum(enough_m, 0.0) + a.radius + b.radius + CLOSE_M
+    near = nearest(lambda direction: _lowest(a, direction), lambda direction: _lowest(b, direction), enough)
 
     def overlapping() -> tuple[Scalar, Vector3, Vector3]:
         distance, normal, k = _best(a, b, jnp.concatenate([b.normals, -a.normals]))

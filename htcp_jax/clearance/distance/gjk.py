@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.numerics import product, safe_divide
 from htcp_jax.types import Array, Bool, Float, Int, Scalar, Vector3
@@ -42,8 +43,14 @@ class Nearest(NamedTuple):
         return product(self.weights, self.points)
 
 
-def nearest(a: Support, b: Support) -> Nearest:
-    """Return the nearest points of two bodies. Rows under `jax.vmap` do not affect each other."""
+def nearest(a: Support, b: Support, enough_m: Scalar | float = np.inf) -> Nearest:
+    """Return the nearest points of two bodies. Rows under `jax.vmap` do not affect each other.
+
+    Args:
+        a: Support function of the first body.
+        b: Support function of the second body.
+        enough_m: Once the distance is known to be larger, the search ends [m].
+    """
 
     def lowest(direction: Vector3) -> tuple[Vector3, Vector3]:
         point = a(direction)
@@ -69,7 +76,7 @@ def nearest(a: Support, b: Support) -> Nearest:
             square <= jnp.where(first, 0.0, (TOUCHES_M / 2) ** 2),
             now.rounds + 1,
         )
-        stops = ~first & ((length - lower <= CONVERGED_M) | ~(square < now.square))
+        stops = ~first & ((length - lower <= CONVERGED_M) | ~(square < now.square) | (lower > enough_m))
         return jax.tree.map(lambda old, new: jnp.where(stops, old, new), stays, moves)
 
     x, nothing = jnp.array([1.0, 0.0, 0.0]), jnp.zeros((3, 3))  # no simplex yet: the first direction is the x axis

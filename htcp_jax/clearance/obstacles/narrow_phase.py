@@ -149,12 +149,12 @@ def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, known):
             start += len(stack.radius)
         return found
 
-    def contact(pair) -> PieceContact:
+    def contact(pair, enough) -> PieceContact:
         one, k = body(first[pair]), second[pair]
         if planes is None:
-            return face_contact(one, other(k))
+            return face_contact(one, other(k), enough)
         plane = jax.tree.map(lambda leaf: leaf[jnp.clip(-1 - k, 0, len(planes.offset) - 1)], planes)
-        return jax.lax.cond(k < 0, lambda: piece_contact(one, plane), lambda: face_contact(one, other(k)))
+        return jax.lax.cond(k < 0, lambda: piece_contact(one, plane), lambda: face_contact(one, other(k), enough))
 
     def is_open(lower, best):
         return lower < best[row, 0]
@@ -162,7 +162,8 @@ def _nearest_pieces(shared, is_exact, radius, p, q, T, lower, known):
     def measure(state):
         lower, best = state
         pair = jnp.argmin(jnp.where(is_open(lower, best), lower, jnp.inf))
-        found, old = contact(pair), best[row[pair]]
+        old = best[row[pair]]
+        found = contact(pair, old[0])
         new = jnp.concatenate([found.distance[None], found.point, found.normal])
         return lower.at[pair].set(jnp.inf), best.at[row[pair]].set(jnp.where(new[0] < old[0], new, old))
 

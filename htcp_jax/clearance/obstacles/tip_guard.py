@@ -6,7 +6,8 @@ beyond its point's eighth neighbour, so that discs overlap where points are spre
 
 A triangle or disc lies in a ball about its middle. The grain is the radius of the largest of these balls. The tip is
 cut into pieces no longer than the grain. Anything that a piece crosses then has its middle within 1.5 grains of the
-piece's middle. A tree finds these candidates, which are then tested exactly.
+piece's middle. A tree finds these candidates, which are then tested exactly. Consecutive tips of a path are first
+excluded together, by the planes of the candidates of their mean.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ from htcp_jax.numerics import ragged_rows
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
 INCLUSIVE = 1e-9  # tolerance relative to a triangle's size, so that no line passes between neighbouring triangles
-NEIGHBOURS = 16  # number of consecutive tips that are tested together
+NEIGHBOURS = 11  # number of consecutive tips that are tested together
 Ends = Float[np.ndarray, "n 3"]
 
 
@@ -50,6 +51,12 @@ class WallTriangles:
             v, t = _rows_dot(move, other) / det, _rows_dot(ac, other) / det
             return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
 
+    def plane_distance(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
+        """Return the distance of segments from the planes of triangles [m]; 0 if they cross it, or without a plane."""
+        a, b, c = np.moveaxis(self._corners[rows], 1, 0)
+        normal = np.cross(b - a, c - a)
+        return _one_sided(a, normal, p, q) / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+
 
 class WallDiscs:
     """Walls of a cloud: one flat disc per point; `middle` of each, and `grain` [m]."""
@@ -68,6 +75,11 @@ class WallDiscs:
             point = p + (before / (before - after))[:, None] * (q - p)
             return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
 
+    def plane_distance(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
+        """Return the distance of segments from the planes of discs [m]; 0 if they cross it."""
+        disc = self._surface.only(rows)
+        return _one_sided(disc.points, disc.normals, p, q)
+
 
 class TipGuard:
     """Walls that the tip must not pass through, in the workpiece frame.
@@ -81,25 +93,53 @@ class TipGuard:
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
 
     def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
-        """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall."""
-        kept, move = self._shortened(p, q)
-        tip = self._near_tips(p + move / 2, kept.max(initial=0.0) / 2)
-        row, middle = _wall_samples(p[tip], move[tip], np.ceil(kept[tip] / self._wall.grain).astype(int))
-        near = np.flatnonzero(self._is_near(middle))
-        found = scipy.spatial.cKDTree(middle[near]).sparse_distance_matrix(self._tree, self._reach, output_type="ndarray")
-        rows, things = tip[row[near[found["i"]]]], found["j"]
+        """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall.
+
+        Most tips are excluded together with their neighbours, so consecutive tips should be close to each other.
+        """
+        end = p + self._shortened(p, q)[1]
         through = np.zeros(len(p), bool)
-        through[rows[self._wall.crossed(things, p[rows], (p + move)[rows])]] = True
+        tip = self._not_excluded(p, end)
+        rows, things, _ = self._walls_near(p[tip], end[tip])
+        rows = tip[rows]
+        through[rows[self._wall.crossed(things, p[rows], end[rows])]] = True
         return through
 
-    def _near_tips(self, middle: Ends, half_m: float) -> Int[np.ndarray, "_"]:
-        """Return the rows of the tips that may touch a piece near a wall; most are excluded in groups of neighbours."""
-        rows = np.minimum(np.arange(-(-len(middle) // NEIGHBOURS) * NEIGHBOURS), len(middle) - 1)
-        groups = middle[rows].reshape(-1, NEIGHBOURS, 3)
-        centre = groups.mean(axis=1)
-        radius = half_m + np.linalg.norm(groups - centre[:, None], axis=2).max(axis=1)
-        tip = np.flatnonzero(np.repeat(self._is_near(centre, radius), NEIGHBOURS)[: len(middle)])
-        return tip[self._is_near(middle[tip], half_m)]
+    def _not_excluded(self, p: Ends, q: Ends) -> Int[np.ndarray, "_"]:
+        """Return the tips of groups of neighbours in which a tip may pass through a wall.
+
+        Every point of a tip is near a point of the group's mean tip. If the mean tip is farther from a wall's plane, on
+        one side of it, no tip of the group passes through this wall.
+        """
+        rows = np.minimum(np.arange(-(-len(p) // NEIGHBOURS) * NEIGHBOURS), len(p) - 1)
+        ends = np.stack([p, q], axis=1)[rows].reshape(-1, NEIGHBOURS, 2, 3)
+        mean = ends.mean(axis=1)
+        away = np.linalg.norm(ends - mean[:, None], axis=3).max(axis=(1, 2), initial=0.0)
+        is_open = away > self._wall.grain
+        small = np.flatnonzero(~is_open)
+        group, things, apart = self._walls_near(mean[small, 0], mean[small, 1], away[small].max(initial=0.0))
+        group, within = small[group], (1 + INCLUSIVE) * away[small[group]]
+        meets = apart <= self._reach + within
+        group, things, within = group[meets], things[meets], within[meets]
+        is_open[group[self._wall.plane_distance(things, mean[group, 0], mean[group, 1]) <= within + INCLUSIVE]] = True
+        return np.flatnonzero(np.repeat(is_open, NEIGHBOURS)[: len(p)])
+
+    def _walls_near(
+        self, p: Ends, q: Ends, away_m: float = 0.0
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+        """Return pairs of a segment from p to q and a triangle or disc that may be near it, and how near they are [m].
+
+        Args:
+            p: First ends of the segments [m].
+            q: Second ends [m].
+            away_m: Distance beyond which a triangle or disc is not near [m].
+        """
+        move, half = q - p, np.linalg.norm(q - p, axis=1) / 2
+        near = np.flatnonzero(self._is_near(p + move / 2, half + away_m))
+        row, middle = _wall_samples(p[near], move[near], np.ceil(2 * half[near] / self._wall.grain).astype(int))
+        within = self._reach + away_m
+        pairs = scipy.spatial.cKDTree(middle).sparse_distance_matrix(self._tree, within, output_type="ndarray")
+        return near[row[pairs["i"]]], pairs["j"], pairs["v"]
 
     def _is_near(self, points: Ends, radius_m: Float[np.ndarray, "n"] | float = 0.0) -> Bool[np.ndarray, "n"]:
         """Return True for points that may be within a radius of a piece near a wall [m]."""
@@ -152,6 +192,12 @@ def _wall_samples(
     row, nth = ragged_rows(counts)
     fraction = (nth + 0.5) / counts[row]
     return row, p[row] + fraction[:, None] * move[row]
+
+
+def _one_sided(point: Ends, normal: Ends, p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
+    """Return the smaller height of the ends p and q over planes, in units of the normal; 0 between two sides."""
+    before, after = _rows_dot(p - point, normal), _rows_dot(q - point, normal)
+    return np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 def _rows_dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:
