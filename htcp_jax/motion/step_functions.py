@@ -182,6 +182,14 @@ def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
     return in_workpiece(lane, kinematics.tip_segment(scene.robot, x))
 
 
+class ProofResolution(NamedTuple):
+    """Resolution of a proof, see `clearance.proof.motion_proof.query_on`."""
+
+    kept: Float[jax.Array, ""]  # share of D to prove [1]
+    resolution_m: Float[jax.Array, ""]  # the proof is D > -resolution_m [m]
+    deepest: Int[jax.Array, ""]  # maximum number of halvings
+
+
 def prove_path(
     settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: motion_proof.Tube, closely: ProofResolution
 ) -> Loop:
