@@ -204,7 +204,8 @@ class DeadEnds:
         finished = [one for one in ended if one not in self._backwards and columns.status[one] == NONE]
         grafted = self._grafted([one for one in ended if one in self._backwards])
         self._searches.begin(*self._to_the_end(grafted), list(grafted.values()), list(grafted))
-        self._open += [self._dead_end(one) for one in ended if one not in grafted and one not in finished]
+        past = grafted.keys() | set(finished)
+        self._open += [self._dead_end(one) for one in ended if one not in past]
         self._turn += 1
         if self._turn % TURNS and self._searches.going.any() and not self._checker.executor.pays_by_lane:
             return finished
@@ -244,10 +245,9 @@ class DeadEnds:
         for end, tree in zip(wide, self._ancestors([end.best for end in wide]), strict=True):
             roots.append(tree.row[tree.at(max(end.lost - BACK, int(tree.target[0])))])
             self._count(end.scenario, end.lost, wider=1)
-        ended = [end.ended for end in wide]
-        first = [self._searches.chain(one)[0] for one in ended]
-        begun = self._searches.begin(*self._to_the_end(ended), roots, first, width=WIDER)
-        self._wider |= {search: WiderSearch(end.lost) for search, end in zip(begun, wide, strict=True)}
+        ended = {end.ended: end.lost for end in wide}
+        begun = self._searches.begin(*self._to_the_end(ended), roots, list(ended), width=WIDER)
+        self._wider |= {search: WiderSearch(lost) for search, lost in zip(begun, ended.values(), strict=True)}
         return [end.ended for end in ends if end.ended not in ended]
 
     def _may_widen(self, end: DeadEnd) -> bool:
