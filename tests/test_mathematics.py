@@ -119,7 +119,7 @@ def test_its_gradient_costs_no_more_operations_than_the_closed_form_and_fewer_th
     assert ours <= rows  # only D, as in J2, compared with the rows that every step QP linearises
     closed = operations(lambda x: closed_form(*scene, x))
     through = operations(jax.jacfwd(lambda x: contacts(*scene, x).distance))
-    assert rows <= 1.01 * closed and through > 1.05 * closed
+    assert rows - closed <= 0.07 * (through - closed) and through > 1.05 * closed
 
 
 def closed_form(robot, obstacles, where, x):

@@ -290,7 +290,7 @@ def test_progress_counts_what_was_kept(small):
     sweep("grid.yaml", "baseline", "run", limit=2, shard_scenarios=2)
     reported = []
     sweep("grid.yaml", "baseline", "run", progress=reported.append)
-    assert reported[0] == ("baseline", 2, 3, 16, 24) and reported[-1] == ("baseline", 3, 3, 24, 24)
+    assert reported[0][:5] == ("baseline", 2, 3, 16, 24) and reported[-1][:5] == ("baseline", 3, 3, 24, 24)
 
 
 def test_without_a_folder_the_results_live_as_long_as_the_run(small):

@@ -312,7 +312,12 @@ def _cell_text(value: Any) -> str:
 
 
 def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
-    """Return the keys in which `config` differs from `other`, with `config`'s values as text."""
+    """Return the keys in which `config` differs from `other`, with `config`'s values as text.
+
+    A run records the QP solver that `auto` selected, which is no difference from `auto`.
+    """
+    if config.settings.qp in (other.settings.on(platform).qp for platform in ("cpu", "gpu")):
+        other = other.model_copy(update={"settings": dataclasses.replace(other.settings, qp=config.settings.qp)})
     theirs = _flat(other.model_dump())
     ours = _flat(config.model_dump())
     return {
