@@ -236,6 +236,16 @@ def test_the_nearest_body_is_the_one_with_the_smallest_distance_less_its_radius(
     assert (found <= reach[mine] + 16 * EPS * scale[mine[0]]).all()
 
 
+def test_the_only_body_near_the_cloud_is_found_among_any_number_of_bodies():
+    """Regression: bodies from number 32 on were not searched, as their bits were lost."""
+    index, count = build_index(cloud("three hundred")), 40
+    p, q = segments(cloud("three hundred"), count, seed=9)
+    reach = np.full(count, -1.0)
+    reach[35] = 10.0
+    body, row = body_within(index, p, q, reach)
+    assert (int(body), int(row) >= 0) == (35, True)
+
+
 def test_no_gradient_passes_through_the_search():
     index, points, p = build_index(cloud("four")), cloud("four"), segments(cloud("four"), LANES, seed=8)[0]
 

@@ -67,12 +67,17 @@ def without_memory(*given):
 
 
 def test_a_proof_by_known_rows_is_the_plain_one():
-    """Proofs against a cloud, solids and the arm's own bodies, decided by pieces where capsules are near."""
+    """Proofs against a cloud, solids and the arm's own bodies, decided by pieces where capsules are near.
+
+    Margins alternate, as pieces are measured for capsules that are nearer than a distance that depends on the margin.
+    """
     executor, rng = Executor(scene(), Settings()), np.random.default_rng(1)
     count = len(paths()[1])
     how = {"kept": rng.choice([0.0, 0.5, 0.99], count), "resolution_m": rng.choice([-ROUNDING_M, 1e-5], count)}
-    _, *tables = prove_call(executor.task, *paths(), **how, deepest=12)
-    found, plain = (executor(one, *tables) for one in (PROVE, replace(PROVE, function=without_memory)))
+    inputs = paths()[0]._replace(margin_m=np.resize([0.2, 0.0, 0.02], count))
+    _, *tables = prove_call(executor.task, inputs, *paths()[1:], **how, deepest=12)
+    plain_prove = replace(PROVE, function=without_memory, remembers=False)
+    found, plain = (executor(one, *tables) for one in (PROVE, plain_prove))
     for name in ("verdict", "place", "queries", "depth"):
         np.testing.assert_array_equal(getattr(found, name), getattr(plain, name), name)
     assert (found.clearance >= plain.clearance - 1e-14).all()

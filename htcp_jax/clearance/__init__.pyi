@@ -9,11 +9,21 @@ from .obstacles.obstacle import (
     rows_of,
     surface_points,
 )
-from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
+from .obstacles.obstacles import (
+    ClearanceRows,
+    KnownContact,
+    clearance,
+    clearances,
+    contacts,
+    is_clear,
+    known_contact,
+    nearest_to,
+)
 
 __all__ = [
     "ClearanceRows",
     "HasWorkpiecePose",
+    "KnownContact",
     "Obstacle",
     "Obstacles",
     "Scene",
@@ -23,6 +33,7 @@ __all__ = [
     "contacts",
     "in_workpiece",
     "is_clear",
+    "known_contact",
     "nearest_to",
     "own_scene",
     "rows_of",

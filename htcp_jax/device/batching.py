@@ -52,12 +52,7 @@ def finished(found: Any, memory: Any = None) -> tuple[Any, Any]:
     return found.result(state), memory
 
 
-def _first_memory(found: Any) -> Any:
-    """Return the memory before the first lane; None if the function has none."""
-    return found.remembering.memory if isinstance(found, Loop) and found.remembering else None
-
-
-def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
+def chunked(function: Callable, width: int, remembers: bool = False) -> jax.stages.Wrapped:
     """Return a compiled function that applies `function` to the rows of tables, `width` at a time.
 
     The compiled function is run(scene, lanes, *tables). Tables have C rows, of which the first `lanes` are computed;
@@ -68,6 +63,7 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
     Args:
         function: Function of (scene, *one lane).
         width: Number of lanes computed side by side.
+        remembers: True if the function returns a `Loop` that passes on a memory.
     """
 
     @jax.jit  # traced only once, for the shapes of the results and for the loop
@@ -88,7 +84,7 @@ def chunked(function: Callable, width: int) -> jax.stages.Wrapped:
         capacity = jax.tree.leaves(tables)[0].shape[0]
         if width == capacity:
             return one_chunk(scene, tables, 0, None)[0]
-        memory = _first_memory(function(scene, *_lane(tables, 0))) if width == 1 else None
+        memory = function(scene, *_lane(tables, 0)).remembering.memory if remembers and width == 1 else None
         empty = _empty(jax.eval_shape(one_chunk, scene, tables, lanes, memory)[0], capacity)
         return jax.lax.fori_loop(0, (lanes + width - 1) // width, body, (empty, memory))[0]
 

@@ -78,6 +78,7 @@ class LaneFunction:
     settings: tuple[str, ...] = ()  # names of the settings that the function reads
     parts: tuple = ()  # first arguments of the function; hashable
     refill: Callable = refilled  # `refilled` or a replacement; used if the tables' size has `refills`
+    remembers: bool = False  # True: the function returns a `Loop` that passes on a memory from lane to lane
 
     def values(self, settings: Settings) -> tuple:
         """Return the values of the settings that the function reads."""
@@ -101,7 +102,9 @@ class LaneFunction:
     def jitted(self, settings: Settings, device: jax.Device) -> jax.stages.Wrapped:
         """Return the function to compile for a device, with the arguments (scene, number of lanes, *tables)."""
         table = self.sizes.on(device)
-        return (self.refill if table.refills else chunked)(self.of(settings), table.width)
+        if table.refills:
+            return self.refill(self.of(settings), table.width)
+        return chunked(self.of(settings), table.width, self.remembers)
 
 
 class _NamedSettings(Settings):

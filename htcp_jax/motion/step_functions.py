@@ -223,12 +223,13 @@ def prove_path(
 
 def _remembering(scene: Scene, lane: LaneInputs, check: Callable) -> Remembering:
     """Return the steps of a proof that pass on the rows measured in the scenario."""
-    own = lane.T_world_workpiece, lane.tool_extension_m  # distances of exact obstacles depend on no other input
+    # Distances of exact obstacles depend on no other input. The margin decides which capsules' pieces are measured.
+    own = lane.T_world_workpiece, lane.tool_extension_m, lane.margin_m
     nothing = known_rows.nothing_known(scene.robot, scene.obstacles)
 
     def step(scene: Scene, search: bisection.Bisection, memory):
         of, known = memory
-        is_same = jnp.all(of[0] == own[0]) & (of[1] == own[1])
+        is_same = jnp.all(jnp.array([jnp.all(a == b) for a, b in zip(of, own, strict=True)]))
         passed_on = known_rows.exact_alone(scene.robot, scene.obstacles, known)
         passed_on = jax.tree.map(partial(jnp.where, is_same), passed_on, nothing)
         known = jax.tree.map(partial(jnp.where, search.proof.queries == 0), passed_on, known)
@@ -258,7 +259,7 @@ CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_func
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)
-PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks)
+PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks, remembers=True)
 
 
 def advance_of(settings: Settings) -> lane_function.LaneFunction:

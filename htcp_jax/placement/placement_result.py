@@ -131,17 +131,24 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
             code = stop.code - 128 if isinstance(stop, Interrupted) else signal.SIGINT
             raise Interrupted(_stop_search(folder, is_new), code) from None
         finally:
-            _stop_search(folder, is_new)
+            _has_plans(folder, is_new)
 
 
 def _stop_search(folder: Path, is_new: bool) -> str:
-    """Remove a new search without finished plans; return the message on how to resume."""
-    if any(folder.glob("rounds/*/*/*.parquet")):
+    """Return the message on how to resume; remove a new search without finished plans."""
+    if _has_plans(folder, is_new):
         return f"stopped; {kept_plans(folder):,} finished plans are in {folder}; run the same command to resume"
+    return f"stopped; {NOTHING}"
+
+
+def _has_plans(folder: Path, is_new: bool) -> bool:
+    """Return True if a search has finished plans; if not, remove it."""
+    if any(folder.glob("rounds/*/*/*.parquet")):
+        return True
     (folder / plan_sets.SEARCH).unlink(missing_ok=True)
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)
-    return f"stopped; {NOTHING}"
+    return False
 
 
 def kept_plans(folder: Path) -> int:

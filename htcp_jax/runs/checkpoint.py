@@ -143,9 +143,9 @@ class Checkpoint:
         Later results are ignored. If there are no results, the folder is removed.
         """
         with self._lock:
+            self._is_open = False  # also if the results cannot be written
             if self._new:
                 self._write()
-            self._is_open = False
             if not self._known:
                 _remove(self._folder)
                 return "stopped before anything was finished; nothing was written"

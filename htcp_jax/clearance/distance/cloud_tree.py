@@ -152,15 +152,15 @@ def _nearest_body(index: CloudIndex, p, q, radius, limit):
 def _first_body(index: CloudIndex, p, q, radius, limit):
     segments, reach = as_segments(p, q), radius + limit
     top = in_reach(with_axes(single(segments), 1), index.levels[0][0][:, None, :], reach[:, None])
-    bodies = jnp.left_shift(jnp.int32(1), jnp.arange(len(reach), dtype=jnp.int32))
 
     def search(state):
-        bodies, *_ = state
-        k = _lowest(bodies)
-        return bodies & (bodies - 1), k, _first_leaf(index, *jax.tree.map(lambda a: a[..., k], (segments, reach, top)))
+        near, *_ = state
+        k = jnp.argmax(near).astype(jnp.int32)
+        leaf = _first_leaf(index, *jax.tree.map(lambda a: a[..., k], (segments, reach, top)))
+        return near.at[k].set(False), k, leaf
 
-    nobody = jnp.sum(jnp.where(top != 0, bodies, 0), dtype=jnp.int32), jnp.int32(-1), jnp.int32(-1)
-    _, body, leaf = jax.lax.while_loop(lambda state: (state[0] != 0) & (state[2] < 0), search, nobody)
+    nobody = top != 0, jnp.int32(-1), jnp.int32(-1)
+    _, body, leaf = jax.lax.while_loop(lambda state: jnp.any(state[0]) & (state[2] < 0), search, nobody)
     segment = jax.tree.map(lambda a: a[..., body, None], segments)
     row = _row_of_least(squared_distance(segment, index.points[leaf])[None], index.rows[leaf][None])[0]
     return NearestPoint(*jnp.where(leaf < 0, -1, jnp.stack([body, row])))

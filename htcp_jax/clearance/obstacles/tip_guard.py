@@ -141,9 +141,9 @@ class TipGuard:
         pairs = scipy.spatial.cKDTree(middle).sparse_distance_matrix(self._tree, within, output_type="ndarray")
         return near[row[pairs["i"]]], pairs["j"], pairs["v"]
 
-    def _is_near(self, points: Ends, radius_m: Float[np.ndarray, "n"] | float = 0.0) -> Bool[np.ndarray, "n"]:
+    def _is_near(self, points: Ends, radius_m: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
         """Return True for points that may be within a radius of a piece near a wall [m]."""
-        reach = (self._reach + np.asarray(radius_m)) * (1 + INCLUSIVE)
+        reach = (self._reach + radius_m) * (1 + INCLUSIVE)
         return self._tree.query(points, distance_upper_bound=reach.max(initial=0.0))[0] <= reach
 
     def may_pass(
@@ -160,12 +160,10 @@ class TipGuard:
         length, move = self._shortened(p, q) if is_rigid else (np.linalg.norm(q - p, axis=1), q - p)
         farthest = (self._reach + length / 2 + travel) * (1 + INCLUSIVE)
         middle = p + move / 2
-        beyond = np.maximum(
-            np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0
-        )  # the box of all walls
+        # Most are farther than that from the box of all walls.
+        beyond = np.maximum(np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0)
         near = ((length > 0) | (not is_rigid)) & (np.linalg.norm(beyond, axis=1) <= farthest)
-        most = farthest[near].max(initial=0.0) * (1 + INCLUSIVE)
-        near[near] = self._tree.query(middle[near], distance_upper_bound=most)[0] <= farthest[near]
+        near[near] = self._is_near(middle[near], length[near] / 2 + travel[near])
         return near
 
     def _shortened(self, p: Ends, q: Ends) -> tuple[Float[np.ndarray, "n"], Ends]:

@@ -492,7 +492,9 @@ class DeadEnds:
         if between is not None:
             at, zero = jax.tree.map(lambda a, b: np.concatenate([a, b]), between, at), np.zeros(len(between.x), int)
             target, step_qps = np.append(zero + target[0], target), np.append(zero, step_qps)
-        before = -1 if parent == configurations.NO_PARENT else self._tree.target[parent]
+        before = self._tree.target[parent] if parent != configurations.NO_PARENT else -1
+        if parent == configurations.NO_PARENT:
+            step_qps = np.append(0, step_qps[1:])
         turns = np.diff(target, prepend=before) == 0
         begins = turns & ~np.append(False, turns[:-1]) & (target >= on_path)
         return self._tree.grow_path(parent, at, target, step_qps, turns, begins)

@@ -53,6 +53,8 @@ class BeamRecord:
 
     def _transferred(self, searches: dict[int, int]) -> dict[int, tuple[int, int, np.ndarray]]:
         """Return the results of searches whose beams are joined to the start, by the last search of their scenarios."""
+        if not searches:
+            return {}
         leaves = [self._searches.beam_of(search) for search in searches.values()]
         roots = [self._tree.roots(np.array(own)).tolist() for own in leaves]
         distinct = [list(dict.fromkeys(own)) for own in roots]
