@@ -242,8 +242,8 @@ def test_the_only_body_near_the_cloud_is_found_among_any_number_of_bodies():
     p, q = segments(cloud("three hundred"), count, seed=9)
     reach = np.full(count, -1.0)
     reach[35] = 10.0
-    body, row = body_within(index, p, q, reach)
-    assert (int(body), int(row) >= 0) == (35, True)
+    (body,), (row,) = bodies_within(index, p[None], q[None], reach[None])
+    assert body == 35 and row >= 0
 
 
 def test_no_gradient_passes_through_the_search():

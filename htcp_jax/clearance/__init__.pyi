@@ -9,21 +9,11 @@ from .obstacles.obstacle import (
     rows_of,
     surface_points,
 )
-from .obstacles.obstacles import (
-    ClearanceRows,
-    KnownContact,
-    clearance,
-    clearances,
-    contacts,
-    is_clear,
-    known_contact,
-    nearest_to,
-)
+from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
 
 __all__ = [
     "ClearanceRows",
     "HasWorkpiecePose",
-    "KnownContact",
     "Obstacle",
     "Obstacles",
     "Scene",
@@ -33,7 +23,6 @@ __all__ = [
     "contacts",
     "in_workpiece",
     "is_clear",
-    "known_contact",
     "nearest_to",
     "own_scene",
     "rows_of",
