@@ -188,5 +188,5 @@ class _Search:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
         is_long = self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
         self._text = f"; searching for a motion to target {self._tracked}" if is_long and now.starts != 0 else ""
-        phase = "; joining home to the start" if now.starts == 0 else ""
+        phase = "; finding the start" if now.starts == 0 else ""
         self._progress(self._tracked, now.targets, phase + self._text)

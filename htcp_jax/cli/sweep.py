@@ -137,12 +137,12 @@ class _TimeLeftColumn(TimeRemainingColumn):
 
 def _stage(starts: int | None) -> str:
     """Return what is done before the first target is tracked, as text for a progress bar."""
-    return "loading and compiling; " if starts is None else f"{starts:,} starts chosen; "
+    return "loading and compiling; " if starts is None else f"{starts:,} starts ready; "
 
 
 @contextmanager
 def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
-    """Show one progress bar per method: chosen starts, then finished scenarios, tracked targets, time left."""
+    """Show one progress bar per method: starts that are ready, then finished scenarios, tracked targets, time left."""
     columns = (
         TextColumn("{task.description:<14}"),
         BarColumn(),
