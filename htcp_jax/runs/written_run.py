@@ -1,6 +1,5 @@
 """A run whose shards are written by a thread, while the next ones are planned."""
 
-import warnings
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -61,10 +60,8 @@ class WrittenRun:
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, kind: type[BaseException] | None, *_) -> None:
+    def __exit__(self, *_) -> None:
         self._thread.shutdown()
-        if kind is not None and self._writing is not None and (error := self._writing.exception()) is not None:
-            warnings.warn(f"the last shard is not written: {error}", stacklevel=2)
 
     def add(self, planned: PlannedShard) -> None:
         """Write a shard in the thread, after the shard before it.
