@@ -182,7 +182,7 @@ class DeadEnds:
         columns, chain, problem = self._searches.columns, self._searches.chain(ended), self._problem
         if columns.status[ended] == NONE or not problem.task.holds_tcp or self._left(chain) <= 0:
             return None
-        s, best = int(columns.scenario[ended]), self._farthest(chain)
+        s, best = int(columns.scenario[ended]), self._searches.forwards(chain[0])[0]
         lost = int(columns.target[best]) + 1
         target = int(problem.scenarios.on_path[s]) if self._leaves_lines(s, lost) else lost
         is_found = target == lost and columns.status[best] == Status.PATH_BLOCKED
@@ -222,7 +222,7 @@ class DeadEnds:
     def _dead_end(self, ended: int) -> DeadEnd:
         """Return the dead end at which a search has ended, and count the work of searches to its target."""
         columns, chain = self._searches.columns, self._searches.chain(ended)
-        s, best = int(columns.scenario[ended]), self._farthest(chain)
+        s, best = int(columns.scenario[ended]), self._searches.forwards(chain[0])[0]
         if (wider := self._wider.get(ended)) is not None and wider.work is None:
             self._count(s, wider.lost, configurations=int(columns.work[ended]))
         lost = int(columns.target[best]) + 1
@@ -302,13 +302,8 @@ class DeadEnds:
             else:
                 before += work
         if share is None:
-            share = 1.0 if self._may_arrive(s, self._farthest(chain)) else SHARE
+            share = 1.0 if self._may_arrive(s, self._searches.forwards(chain[0])[0]) else SHARE
         return share * self._problem.settings.effort * before - spent - wider
-
-    def _farthest(self, chain: list[int]) -> int:
-        """Return the search that reached the farthest target; the first of several."""
-        columns = self._searches.columns
-        return max((each for each in chain[::-1] if columns.step[each] > 0), key=lambda each: columns.target[each])
 
     def _leaves_lines(self, s: int, lost: int) -> bool:
         """Return True if the lost target is not beyond the path's first point, which is then sampled in its place."""

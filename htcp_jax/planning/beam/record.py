@@ -1,6 +1,5 @@
 """Results of an ended beam search: the path to its best leaf, and the motion from the start to the path's root."""
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -29,7 +28,7 @@ class BeamRecord:
             For each scenario the search that reached the farthest target, the tree row of its best leaf, and the via
                 points of the transfer to the path's root (V, N) [rad or m]; None if there is no transfer.
         """
-        found, open_ = {}, {last: self._farthest_first(last) for last in ended}
+        found, open_ = {}, {last: iter(self._searches.forwards(last)) for last in ended}
         while open_:
             now = {last: next(searches) for last, searches in open_.items()}
             direct = {last: search for last, search in now.items() if not self._needs_transfer(search)}
@@ -37,12 +36,6 @@ class BeamRecord:
             found |= self._transferred({last: search for last, search in now.items() if last not in direct})
             open_ = {last: searches for last, searches in open_.items() if last not in found}
         return [found[last] for last in ended]
-
-    def _farthest_first(self, last: int) -> Iterator[int]:
-        """Yield the scenario's searches forwards, the one that reached the farthest target first."""
-        columns, chain = self._searches.columns, self._searches.chain(last)
-        forwards = [one for one in chain[::-1] if columns.step[one] > 0]
-        return iter(sorted(forwards, key=lambda one: -columns.target[one]))
 
     def _needs_transfer(self, search: int) -> bool:
         """Return True if the motion must be joined to the roots of a search's beam."""

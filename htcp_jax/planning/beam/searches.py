@@ -121,6 +121,11 @@ class Searches:
             found.append(earlier)
         return found
 
+    def forwards(self, search: int) -> list[int]:
+        """Return the searches forwards in the chain of a search, the farthest target first, and of equal ones the older."""
+        forwards = [one for one in self.chain(search)[::-1] if self.columns.step[one] > 0]
+        return sorted(forwards, key=lambda one: -self.columns.target[one])
+
     @property
     def tracked(self) -> int:
         """Number of targets reached by running first searches of scenarios."""
