@@ -122,7 +122,7 @@ class Searches:
         return found
 
     def forwards(self, search: int) -> list[int]:
-        """Return the searches forwards in a search's chain, the farthest target first; of equal ones, the older first."""
+        """Return the searches forwards in a search's chain: the farthest target first, of equal ones the older."""
         forwards = [one for one in self.chain(search)[::-1] if self.columns.step[one] > 0]
         return sorted(forwards, key=lambda one: -self.columns.target[one])
 
