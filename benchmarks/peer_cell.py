@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from htcp_jax.clearance import Scene, clearance
-from htcp_jax.device.lane_function import DEEP, LaneFunction
+from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.motion import Plans, Problem
@@ -41,7 +41,7 @@ def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     return Brought(x, D, task.residual_at(robot, x, lane.target), tcp_position(robot, x))
 
 
-BRING = LaneFunction("bring", bring, DEEP)
+BRING = LaneFunction("bring", bring, STEP)
 
 
 class Cell:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from htcp_jax.motion.configurations import dispersed
+from htcp_jax.motion.configurations import BLOCK, dispersed, first_apart
 from htcp_jax.motion.step_functions import State
 from htcp_jax.planning.beam.tree import LEAST, BeamTree, Nodes, best_first
 
@@ -130,3 +130,20 @@ def test_a_pruned_tree_has_every_path_required_and_no_other_configuration(seed):
             np.testing.assert_array_equal(getattr(nodes, name), getattr(now, name))
     grown = tree.grow(moved[kept], at(np.zeros((20, 2))), 0)
     assert grown.tolist() == list(range(len(alive), len(alive) + 20))
+
+
+@pytest.mark.parametrize("norm", [2, np.inf])
+def test_the_first_rows_apart_are_those_of_a_plain_loop_in_each_group(norm):
+    """Groups have more rows than are compared at a time, fewer, and none."""
+    rng = np.random.default_rng(0)
+    length, most, apart = [3 * BLOCK, 0, 5, BLOCK + 1], 12, 0.3
+    group = np.repeat(np.arange(len(length)), length)
+    x = rng.uniform(-0.8, 0.8, (len(group), 2)) * np.where(group == 0, 0.3, 1.0)[:, None]
+    expected = []
+    for number in range(len(length)):
+        near = []
+        for k in np.flatnonzero(group == number):
+            if len(near) < most and all(np.linalg.norm(x[k] - x[other], norm) >= apart for other in near):
+                near.append(int(k))
+        expected += near
+    assert first_apart(x, group, most, apart, norm).tolist() == expected

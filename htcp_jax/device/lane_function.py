@@ -52,11 +52,10 @@ class DeviceSizes(NamedTuple):
 
 
 ALONE = BatchSize(128, 1)
-STEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(4096, 4096))  # for functions called for every lane in every round
-DEEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512))  # for calls with few lanes, or with vectorised inner loops
+STEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(4096, 4096))
 # for loops of some steps, in the longest calls
 TRACKED = DeviceSizes(cpu=ALONE, gpu=BatchSize(PORTION, 4096, refills=True))
-DEEP_LOOP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512, refills=True))  # DEEP, for functions that return a `Loop`
+DEEP_LOOP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512, refills=True))  # for loops that are vectorised inside
 SAMPLED = DeviceSizes(cpu=ALONE, gpu=BatchSize(256, 128))  # for functions with hundreds of configurations per lane
 
 

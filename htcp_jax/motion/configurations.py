@@ -136,27 +136,36 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
     return kept
 
 
-def first_apart(x: Float[np.ndarray, "n N"], most: int, apart: float, norm: float = 2) -> Int[np.ndarray, "k"]:
-    """Return the indices of up to `most` rows of x: in order, each row at least `apart` from all rows kept so far.
+def first_apart(
+    x: Float[np.ndarray, "n N"], group: Int[np.ndarray, "n"] | int, most: int, apart: float, norm: float = 2
+) -> Int[np.ndarray, "k"]:
+    """Return the indices of up to `most` rows of x per group: in order, each at least `apart` from all kept so far.
 
     Args:
         x: Configurations [rad].
-        most: Maximum number of rows.
+        group: Number of each row's group, 0 or more, in ascending order; one number if all rows are in one group.
+        most: Maximum number of rows per group.
         apart: Minimum distance [rad].
         norm: Order of the norm, as in `numpy.linalg.norm`.
     """
-    kept: list[int] = []
-    for first in range(0, len(x), BLOCK):  # the first rows are often enough
-        block = x[first : first + BLOCK]
-        away = np.linalg.norm(block[:, None] - x[kept][None], norm, axis=2)
-        left = (away >= apart).all(axis=1)
-        while left.any() and len(kept) < most:
-            next_one = int(np.argmax(left))
-            kept.append(first + next_one)
-            left &= np.linalg.norm(block - block[next_one], norm, axis=1) >= apart
-        if len(kept) == most:
-            break
-    return np.array(kept, int)
+    begin = np.flatnonzero(np.diff(np.broadcast_to(group, len(x)), prepend=-1))
+    length = np.diff(np.append(begin, len(x)))
+    kept = np.full((len(begin), most), len(x))  # row len(x) is far from all others
+    x, count, place = np.vstack([x, np.full_like(x[:1], np.inf)]), np.zeros(len(begin), int), np.arange(BLOCK)
+    for first in range(0, length.max(initial=0), BLOCK):  # the first rows are often enough
+        going = np.flatnonzero((count < most) & (first < length))
+        block = x[np.minimum(begin[going, None] + first + place, len(x) - 2)]
+        left = first + place < length[going, None]
+        for k in range(count[going].max(initial=0)):
+            left &= np.linalg.norm(block - x[kept[going, k], None], norm, axis=2) >= apart
+        while len(going):
+            more = left.any(axis=1) & (count[going] < most)
+            going, block, left = going[more], block[more], left[more]
+            best = np.argmax(left, axis=1)
+            kept[going, count[going]] = begin[going] + first + best
+            count[going] += 1
+            left &= np.linalg.norm(block - block[np.arange(len(going)), best, None], norm, axis=2) >= apart
+    return kept[kept < len(x) - 1]
 
 
 class Tree:

@@ -237,7 +237,7 @@ def _row_distances(settings, scene: Scene, where, x):
     return found.distance, found.witness
 
 
-MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.DEEP)
+MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.STEP)
 
 
 def _mm(length_m: float) -> str:

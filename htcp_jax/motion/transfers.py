@@ -88,38 +88,30 @@ def drawn_configurations(
 ) -> Float[np.ndarray, "n DRAWS N"]:
     """Return random configurations of many scenarios within the joint limits [rad or m], new ones in every round.
 
+    Unlimited joints are sampled within pi of home.
+
     Args:
         problem: The problem.
         checker: Collision checker of the scene.
         scenario: Row of each scenario; the same one several times for several rounds.
         round_: Number of the round, or one for each scenario.
     """
-    seed, slides, limits = problem.settings.seed, problem.robot.slides, checker.executor.limits
+    seed, about, limits = problem.settings.seed, _about(problem, scenario)[:, None], checker.executor.limits
+    lower = np.where(np.isfinite(limits[0]), limits[0], about - np.pi)
+    upper = np.where(np.isfinite(limits[1]), limits[1], about + np.pi)
+    drawn = np.empty((len(scenario), DRAWS, about.shape[2]))
     numbers = problem.scenarios.number[scenario], np.broadcast_to(round_, len(scenario))
-    seeds = [[seed, int(number), STREAM + int(of)] for number, of in zip(*numbers, strict=True)]
-    return np.array(
-        [
-            _sampled_configurations(slides, limits, about, np.random.default_rng(each))
-            for about, each in zip(_about(problem, scenario), seeds, strict=True)
-        ]
-    )
+    for own, number, of in zip(drawn, *numbers, strict=True):
+        np.random.default_rng([seed, int(number), STREAM + int(of)]).random(out=own)
+    drawn = lower + (upper - lower) * drawn
+    turned = drawn - 2 * np.pi * np.where(problem.robot.slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
+    return np.where((turned >= limits[0]) & (turned <= limits[1]), turned, drawn)
 
 
 def _about(problem: Problem, scenario: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n N"]:
     """Return the configurations about which unlimited joints are sampled."""
     anywhere = problem.begins_anywhere[scenario, None]
     return np.where(anywhere, problem.scenarios.x_start[scenario], problem.scenarios.x_home[scenario])
-
-
-def _sampled_configurations(
-    slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
-) -> Float[np.ndarray, "DRAWS N"]:
-    """Return random configurations within the limits; unlimited joints are sampled within pi [rad or m] of `about`."""
-    lower, upper = limits
-    ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
-    drawn = rng.uniform(*ends, (DRAWS, len(lower)))
-    turned = drawn - 2 * np.pi * np.where(slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
-    return np.where((turned >= lower) & (turned <= upper), turned, drawn)
 
 
 def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n N"]:

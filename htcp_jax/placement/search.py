@@ -74,7 +74,7 @@ def best_apart(u: Float[np.ndarray, "n d"], order: np.ndarray, count: int) -> li
         order: Indices of the mountings, best first, (n,).
         count: Maximum number of mountings.
     """
-    return order[configurations.first_apart(u[order], count, APART, np.inf)].tolist()
+    return order[configurations.first_apart(u[order], 0, count, APART, np.inf)].tolist()
 
 
 class Evolution:

@@ -199,7 +199,7 @@ class ConfigurationSearch:
             own = own[np.unique(np.round(x[own] / (0.5 * APART_RAD)).astype(int), axis=0, return_index=True)[1]]
             D = self._executor(MEASURE, tables.gather(inputs, lane[own]), x[own])
             own = own[np.argsort(-D, kind="stable")]
-            kept.append(own[configurations.first_apart(x[own], PUSHED, APART_RAD)])
+            kept.append(own[configurations.first_apart(x[own], 0, PUSHED, APART_RAD)])
         return tables.gather((lane, x), np.concatenate(kept))
 
     def _seeds(self, inputs: lane_inputs.LaneInputs, cells: tool_cells.Cells):

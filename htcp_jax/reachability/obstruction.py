@@ -176,7 +176,7 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
     return row, touch.witness[row], surfaces, by_piece, -touch.distance[row], residual, x
 
 
-BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.DEEP)
+BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.STEP)
 
 
 def _mm(length_m: float) -> str:

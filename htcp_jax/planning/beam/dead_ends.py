@@ -381,13 +381,12 @@ class DeadEnds:
         here = transfers.projected(problem, self._checker, scenario, target, np.concatenate(drawn))
         reached = np.flatnonzero(problem.task.reached(here.residual))
         reached = reached[np.lexsort((-here.clearance[reached], lane[reached]))]
-        arrived = np.split(here.x[reached], np.searchsorted(lane[reached], np.arange(1, len(ends))))
-        found = []
-        for end, x, own in zip(ends, drawn, arrived, strict=True):
+        apart = reached[configurations.first_apart(here.x[reached], lane[reached], PUSHED, APART_RAD)]
+        found = np.split(here.x[apart], np.searchsorted(lane[apart], np.arange(1, len(ends))))
+        for end, x, own, count in zip(ends, drawn, found, np.bincount(lane[reached], minlength=len(ends)), strict=True):
             draws, place = self._draws[end.scenario], (end.scenario, end.target)
-            found.append(own[configurations.first_apart(own, PUSHED, APART_RAD)])
-            self._missed[place] = 0 if len(own) else self._missed[place] + len(x)
-            draws.work += max(len(own), len(x) // FEW) + len(found[-1]) * problem.settings.max_null_space_steps
+            self._missed[place] = 0 if count else self._missed[place] + len(x)
+            draws.work += max(int(count), len(x) // FEW) + len(own) * problem.settings.max_null_space_steps
         return found
 
     def _drawn(self, end: DeadEnd) -> Float[np.ndarray, "n N"]:
@@ -398,14 +397,13 @@ class DeadEnds:
         problem, checker, draws = self._problem, self._checker, self._draws[end.scenario]
         rounds = FIRST_ROUND + draws.rounds + np.arange(ROUNDS if end.anywhere else 1)
         draws.rounds += len(rounds)
-        scenario = np.full(len(rounds), end.scenario)
-        drawn = np.concatenate(transfers.drawn_configurations(problem, checker, scenario, rounds))
         if end.anywhere:
-            return drawn
+            scenario = np.full(len(rounds), end.scenario)
+            return np.concatenate(transfers.drawn_configurations(problem, checker, scenario, rounds))
         near = end.tree.x[end.tree.at(end.lost - 1)]
         rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[end.scenario]), rounds[0]])
-        drawn = near[rng.integers(len(near), size=len(drawn))] + NEAR_RAD * rng.standard_normal(drawn.shape)
-        return np.clip(drawn, *checker.executor.limits)
+        drawn = near[rng.integers(len(near), size=transfers.DRAWS)]
+        return np.clip(drawn + NEAR_RAD * rng.standard_normal(drawn.shape), *checker.executor.limits)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
         """Return the pairs to join: search, configuration in the tree, tree row of the search's configuration."""

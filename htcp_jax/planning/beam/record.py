@@ -1,7 +1,5 @@
 """Results of an ended beam search: the path to its best leaf, and the motion from the start to the path's root."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from htcp_jax.device import tables
@@ -78,11 +76,14 @@ class BeamRecord:
         """
         columns, plans, path = self._searches.columns, self._plans, self._tree.path(leaf)
         s, nodes = int(columns.scenario[search]), self._tree.nodes(path)
-        via_points, extended = [], np.flatnonzero(~nodes.by_self_motion)
-        for before, row in pairwise(extended.tolist()):
-            plans.joint_step[s, nodes.target[row]] = np.linalg.norm(nodes.at.x[row] - nodes.at.x[before])
-            if row > before + 1:
-                via_points.append((s, int(nodes.target[row]), nodes.at.x[before + 1 : row]))
+        extended = np.flatnonzero(~nodes.by_self_motion)
+        step = np.diff(nodes.at.x[extended], axis=0)
+        plans.joint_step[s, nodes.target[extended[1:]]] = np.sqrt(np.vecdot(step, step))
+        turned = np.flatnonzero(np.diff(extended) > 1)
+        via_points = [
+            (s, int(nodes.target[row]), nodes.at.x[before + 1 : row])
+            for before, row in zip(extended[turned].tolist(), extended[turned + 1].tolist(), strict=True)
+        ]
         self._write_rows(s, nodes.target[extended], tables.gather(nodes, extended))
         if self._problem.begins_anywhere[s]:
             plans.start[s], plans.joint_step[s, 0] = plans.x[s, 0], 0.0

@@ -172,7 +172,7 @@ def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     return keep_clear_ascent(scene, settings, lane, x, lane.target)
 
 
-ENTER = lane_function.LaneFunction("enter", enter_null_space, lane_function.DEEP, step_functions.MEASURED)
-ASCEND = lane_function.LaneFunction("ascend", ascend, lane_function.DEEP, (*READS, "keep_clear_m", "keep_clear_steps"))
-PUSH = lane_function.LaneFunction("push", push, lane_function.DEEP, READS)
+ENTER = lane_function.LaneFunction("enter", enter_null_space, lane_function.STEP, step_functions.MEASURED)
+ASCEND = lane_function.LaneFunction("ascend", ascend, lane_function.STEP, (*READS, "keep_clear_m", "keep_clear_steps"))
+PUSH = lane_function.LaneFunction("push", push, lane_function.STEP, READS)
 DRAW = lane_function.LaneFunction("draw", draw, lane_function.SAMPLED, READS)
