@@ -51,6 +51,11 @@ class BeamTree(configurations.Tree):
         return self._table.at.x[: self._count]
 
     @property
+    def clearance(self) -> Float[np.ndarray, "n"]:
+        """Clearance D of each configuration [m]; NaN if it was not measured."""
+        return self._table.at.clearance[: self._count]
+
+    @property
     def target(self) -> Int[np.ndarray, "n"]:
         """Target of each configuration."""
         return self._table.target[: self._count]
