@@ -17,6 +17,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import BodyPieces
+from htcp_jax.model.coupling import Coupling
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
@@ -114,6 +115,7 @@ class Robot:
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)
     # the workshop's frame; on a link of the chain if the part moves
     world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
+    coupling: Coupling | None = None  # None: no joint follows another, J = N
 
     @property
     def part_moves(self) -> bool:
