@@ -1,6 +1,6 @@
 from . import arrays, duct, fixture, kinematics, robot, scenario, surface
 from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
-from .coupling import Coupling, JointLimits, coordinate_limits
+from .coupling import Coupling, JointLimits, coordinate_limits, joints_between, moved_by
 from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
@@ -61,11 +61,13 @@ __all__ = [
     "follower_position",
     "interior_plane_of",
     "interior_rule",
+    "joints_between",
     "kinematics",
     "make_piece",
     "make_scenario",
     "make_scenarios",
     "median_distance",
+    "moved_by",
     "place_of",
     "quaternion_matrix",
     "reanchor",

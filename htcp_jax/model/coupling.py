@@ -96,3 +96,14 @@ def moved_by(parents: Sequence[int]) -> Bool[np.ndarray, "L J"]:
         moves[link] = moves[parent]
         moves[link, link] = True
     return moves
+
+
+def joints_between(parents: Sequence[int], link: int, other: int) -> tuple[list[int], list[float]]:
+    """Return the joints between two links, in order from `other` to `link`, as a serial chain seen from `other`.
+
+    Returns:
+        Indices of the joints, and for each 1.0 or, if it moves `other` instead of `link`, -1.0.
+    """
+    moves = moved_by(parents)
+    down, up = (np.flatnonzero(moves[a] & ~moves[b]) for a, b in ((other, link), (link, other)))
+    return [*down[::-1].tolist(), *up.tolist()], [-1.0] * len(down) + [1.0] * len(up)
