@@ -11,7 +11,7 @@ from htcp_jax.io.robots.chain import FEWEST_JOINTS
 from htcp_jax.io.robots.link_meshes import MeshesInFile
 from htcp_jax.io.robots.model_file import NONE_LOCKED, read_robot_file
 from htcp_jax.io.robots.safe_xml import PART, read_spec
-from htcp_jax.model import Robot, robot
+from htcp_jax.model import Coupling, Robot, robot
 from htcp_jax.spec import GP50, ROBOT, ComposedModel, Tool
 from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
@@ -63,7 +63,11 @@ def load_robot(
     has_list = fields.facts["listed"] or fields.facts["listed_together"]
     file = source if isinstance(source, ComposedModel) else source.resolve()
     meshes = MeshesInFile(file, tuple(locked.items())) if has_list else None
-    made = {"pieces": jax.device_put(fields.pieces()), "coupling": jax.device_put(fields.coupling), "meshes": meshes}
+    coupling = None
+    if fields.coupling is not None:
+        arrays = jax.device_put({name: fields.coupling[name] for name in ("factors", "offsets")})
+        coupling = Coupling(**fields.coupling | arrays)
+    made = {"pieces": jax.device_put(fields.pieces()), "coupling": coupling, "meshes": meshes}
     return Robot(**jax.device_put(fields.arrays), **fields.facts, **made)
 
 

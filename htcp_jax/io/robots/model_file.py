@@ -45,7 +45,7 @@ from htcp_jax.io.robots.mujoco_models import (
 )
 from htcp_jax.io.robots.safe_xml import LIST, OMITTED
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
-from htcp_jax.model import BodyPieces, Coupling, robot
+from htcp_jax.model import BodyPieces, robot
 from htcp_jax.model import arrays as coordinates
 from htcp_jax.spec import ModelSource, Tool, label_of
 from htcp_jax.spec import tool as tools
@@ -70,7 +70,7 @@ class RobotFields(NamedTuple):
 
     arrays: dict[str, np.ndarray]  # fields that are arrays, by name
     facts: dict[str, Any]  # other fields, by name
-    coupling: Coupling | None
+    coupling: dict[str, Any] | None  # fields of a Coupling, by name; None: no joint follows another
     stored: dict[str, StoredPiece]  # convex pieces by the capsules' names
     held: dict[str, tuple[Capsule, np.ndarray]]  # capsules with their bodies' poses, see `pieces_of`
 
@@ -178,10 +178,16 @@ def read_robot_file(
     }
     remarks.note_limits(model, path, joints, ranges, rates)
     free = tuple(slides[joints.index(j)] for j in mapped.free)
-    tcp_link, names = len(chain.to_tcp) - 1, mapped.names(model)
-    coupling = Coupling(mapped.factors, mapped.offsets, names, parents, tcp_link, free) if mapped.is_coupled else None
+    coupling = {
+        "factors": mapped.factors,
+        "offsets": mapped.offsets,
+        "joint_names": mapped.names(model),
+        "parents": parents,
+        "tcp_link": len(chain.to_tcp) - 1,
+        "slides": free,
+    }
     held = {each.name: (each.capsule, frames[each.body][1]) for each in bodies}
-    return RobotFields(arrays, facts, coupling, stored, held)
+    return RobotFields(arrays, facts, coupling if mapped.is_coupled else None, stored, held)
 
 
 def _check_numbers(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
