@@ -116,6 +116,7 @@ class Robot:
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)
     # the workshop's frame; on a link of the chain if the part moves
     world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
+    omitted: tuple[str, ...] = dataclasses.field(default=(), metadata=LABEL)  # links that move and have no capsules
     coupling: Coupling | None = None  # None: no joint follows another, J = N, and the links are one chain
 
     @property

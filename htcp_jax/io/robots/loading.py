@@ -51,7 +51,7 @@ def load_robot(
 
     Raises:
         InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
-            joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the
+            joints, ball or free joints, couplings that are not linear, a URDF's joint without a range, joints off the
             chain, a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite,
             a profile of limits that the model lacks, a file of limits that `read_joint_limits` refuses or whose ranges
             are not plausible for the arm, and a body of the tool with the name of a body in the model; if the part
@@ -63,7 +63,8 @@ def load_robot(
     has_list = fields.facts["listed"] or fields.facts["listed_together"]
     file = source if isinstance(source, ComposedModel) else source.resolve()
     meshes = MeshesInFile(file, tuple(locked.items())) if has_list else None
-    return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
+    made = {"pieces": jax.device_put(fields.pieces()), "coupling": jax.device_put(fields.coupling), "meshes": meshes}
+    return Robot(**jax.device_put(fields.arrays), **fields.facts, **made)
 
 
 def part_moves(path: Path | ComposedModel) -> bool:
