@@ -9,6 +9,7 @@ and batch well. Several of them in one jitted function cost one pass over the jo
 subexpressions. x may also be a list. An x that is not one configuration of the robot raises InputError.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 
 def _last_capsules(robot: Robot) -> np.ndarray:
-    """Return the indices of the capsules of the chain's last link that has capsules, without fixtures, which are last."""
+    """Return the indices of the capsules of the chain's last link that has capsules, without fixtures."""
     links = np.delete(robot.capsule_link, robot.attached)
     return np.flatnonzero(links == max(links[links <= robot.tcp_link]))
 
@@ -161,7 +162,7 @@ def point_jacobians(
 def by_joint(
     robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"] | None
 ) -> Float[Array, "P 3 J"]:
-    """Return the Jacobians of points by the joints q, see `point_jacobians`; `links` is None if all joints move them."""
+    """Return the Jacobians of points by the joints q, see `point_jacobians`; links None: every joint moves them."""
     if links is None:
         return _velocities(robot, _link_frames(robot, x), points).swapaxes(1, 2)
     if robot.coupling is None:
@@ -248,6 +249,15 @@ def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
         InputError: For any other shape, such as several configurations.
     """
     return checked_shape(x, (robot.dof,), f"{name} of {robot.name}")
+
+
+def with_free_joints(robot: Robot) -> Robot:
+    """Return the robot with its joints q as coordinates, for kinematics only: the limits remain those of x."""
+    if robot.coupling is None:
+        return robot
+    joints = len(robot.slides)
+    own = dataclasses.replace(robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=robot.slides)
+    return dataclasses.replace(robot, joint_names=own.joint_names, coupling=own)
 
 
 def is_periodic(robot: Robot) -> Bool[Anywhere, "N"]:

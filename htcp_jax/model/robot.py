@@ -109,7 +109,6 @@ class Robot:
     listed_together: tuple[tuple[int, ...], ...] = dataclasses.field(default=(), metadata=LABEL)
     mounted: tuple[int, ...] = dataclasses.field(default=(), metadata=LABEL)  # capsules of the job: tool, fixtures
     attached: tuple[int, ...] = dataclasses.field(default=(), metadata=_STATIC)  # capsules of fixtures on moving links
-    omitted: tuple[str, ...] = dataclasses.field(default=(), metadata=LABEL)  # moving links without capsules
     pieces: BodyPieces | None = None  # convex pieces of the meshes in the capsules; None: only capsules are checked
     meshes: VendorMeshes | None = dataclasses.field(default=None, metadata=LABEL)  # None: the arm's file has none
     frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)  # frames that a task may name
@@ -117,6 +116,7 @@ class Robot:
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)
     # the workshop's frame; on a link of the chain if the part moves
     world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
+    omitted: tuple[str, ...] = dataclasses.field(default=(), metadata=LABEL)  # links that move and have no capsules
     coupling: Coupling | None = None  # None: no joint follows another, J = N, and the links are one chain
 
     @property

@@ -179,4 +179,5 @@ def _tcp_and_jacobian(robot: Robot, x):
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, None, 0))
 def _features(features: tuple[Feature, ...], robot: Robot, x):
-    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)
+    robot, q = kinematics.with_free_joints(robot), kinematics.joint_positions(robot, x)
+    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(q) for feature in features]),)

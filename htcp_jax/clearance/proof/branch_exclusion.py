@@ -74,7 +74,7 @@ class Interval(NamedTuple):
 
 
 def has_branches(robot: Robot) -> bool:
-    """Return True if the arm has an elbow and a spherical wrist, as this module requires, and no follower in its chain."""
+    """Return True if the arm has an elbow, a spherical wrist and no followers in its chain, as this module requires."""
     robot = exclusion.chain_of(robot)
     if len(robot.slides) != JOINTS or any(robot.slides) or not exclusion.has_wrist(robot):
         return False
