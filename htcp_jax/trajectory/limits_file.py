@@ -87,8 +87,8 @@ def check_ranges(stated: JointLimits, robot: Robot, moved: Motion | motion.Motio
     scenario = f" of scenario {moved.scenario[row]}" if isinstance(moved, motion.Motions) else ""
     raise InputError(
         f"{name}: joint {robot.all_joint_names[joint]} reaches {value:.{digits}g} "
-        f"{'m' if robot.slides[joint] else 'rad'} {_place(moved, row)}{scenario}, {stated.file} allows {limit:g}{also}; set "
-        f"robot.limits to {Path(stated.file).name} in the job, and plan again"
+        f"{'m' if robot.slides[joint] else 'rad'} {_place(moved, row)}{scenario}, {stated.file} allows {limit:g}"
+        f"{also}; set robot.limits to {Path(stated.file).name} in the job, and plan again"
     )
 
 
