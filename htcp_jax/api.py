@@ -301,6 +301,7 @@ class Plan:
                 self.plans,
                 runs.tables.joint_columns(self.robot),
                 self.manipulability[None],
+                runs.tables.follower_columns(self.robot, self.plans.x),
             )
         )
 

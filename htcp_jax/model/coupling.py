@@ -34,6 +34,14 @@ class Coupling:
     tcp_link: int = dataclasses.field(metadata=_STATIC)  # link that carries the TCP, the chain's last
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # True for coordinates of u that are sliding joints
 
+    def positions(self, u: Float[np.ndarray, "*S N"]) -> Float[np.ndarray, "*S J"]:
+        """Return the joints' positions q = C u + d [rad or m]."""
+        return self.rates(u) + np.asarray(self.offsets)
+
+    def rates(self, rates: Float[np.ndarray, "*S N"]) -> Float[np.ndarray, "*S J"]:
+        """Return the joints' rates C u', also for higher derivatives [rad or m, per s or s2]."""
+        return rates @ np.asarray(self.factors).T
+
 
 class JointLimits(NamedTuple):
     """Limits of n joints or coordinates [rad or m, rad/s or m/s, rad/s2 or m/s2, N m or N]; inf where there is none."""

@@ -140,6 +140,22 @@ class Robot:
         return len(self.slides) - 1 if self.coupling is None else self.coupling.tcp_link
 
     @property
+    def all_joint_names(self) -> tuple[str, ...]:
+        """Names of the J joints, of which `joint_names` are those of the coordinates."""
+        return self.joint_names if self.coupling is None else self.coupling.joint_names
+
+    @property
+    def followers(self) -> tuple[int, ...]:
+        """Indices of the joints that follow others."""
+        return tuple(j for j, name in enumerate(self.all_joint_names) if name not in self.joint_names)
+
+    @property
+    def counted_joints(self) -> str:
+        """The number of coordinates as text; if joints follow others, with the names of both."""
+        followers = ", ".join(self.all_joint_names[j] for j in self.followers)
+        return f"{self.dof} joints" + (followers and f" ({', '.join(self.joint_names)}; {followers} follow them)")
+
+    @property
     def part_moves(self) -> bool:
         """True if the chain's root is the part's link; bodies fixed to the root are never tested against the part."""
         return self.world != WORLD

@@ -23,7 +23,6 @@ from htcp_jax.io.robots.chain import (
     SLIDE,
     Chain,
     JointMap,
-    chain_of_file,
     check_joints,
     link_frames,
     whole_chain,
@@ -288,16 +287,29 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
-def joints_in_file(source: ModelSource, locked: Sequence[str] = ()) -> tuple[int, ...]:
-    """Return, for each joint in the file's order, its index in the list of the robot's joints and then `locked`.
+class JointsInFile(NamedTuple):
+    """The order of a model file's joints, and its joints that do not move."""
+
+    order: tuple[int, ...]  # for each joint in the file, its index in the list of moving joints and then `locked`
+    locked: dict[str, float]  # values of joints that do not move, by name [rad or m]
+
+
+def joints_in_file(source: ModelSource, moving: Sequence[str], locked: Mapping[str, float]) -> JointsInFile:
+    """Return the joints in a model file.
+
+    Args:
+        source: The file, or the models that form the cell.
+        moving: Names of the joints that move, also those that follow others.
+        locked: Values of locked joints, by name [rad or m].
 
     Raises:
         InputError: For a file that cannot be read.
     """
     model = _compile_model(source)[0]
-    names = [joint_name(model, j) for j in chain_of_file(model, label_of(source)).joints]
-    order = [*(name for name in names if name not in locked), *locked]
-    return tuple(order.index(joint_name(model, j)) for j in range(model.njnt))
+    fixed = fix_joints(model, label_of(source), dict(locked))
+    still = {joint_name(model, j): value for j, value in fixed.items()}
+    order = [*moving, *still]
+    return JointsInFile(tuple(order.index(joint_name(model, j)) for j in range(model.njnt)), still)
 
 
 def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
