@@ -175,7 +175,10 @@ def by_joint(
 
 def by_coordinates(robot: Robot, columns: Float[Array, "*n J"]) -> Float[Array, "*n N"]:
     """Return Jacobians by the coordinates x, from those by the joints q = C x + d."""
-    return columns if robot.coupling is None else product(columns, robot.coupling.factors)
+    if robot.coupling is None:
+        return columns
+    factors = robot.coupling.factors
+    return product(columns, factors.reshape((1,) * (columns.ndim - 2) + factors.shape))
 
 
 def joint_rates(robot: Robot, rates: Joints) -> Float[Array, "J"]:
