@@ -180,6 +180,32 @@ def test_the_arm_moves_as_mujoco_with_its_constraints_solved(imported, case):
         np.testing.assert_allclose(jacobian, J @ along, rtol=0, atol=1e-9)
 
 
+PARALLELOGRAM = """<mujoco model="parallelogram"><compiler angle="radian" boundmass="1" boundinertia="1"/><worldbody>
+  <geom name="foot" size="0.02"/>
+  <body name="l1" pos="0 0 0.3"><joint name="a1" axis="0 0 1" range="-3 3"/>
+    <body name="lower" pos="0.1 0 0"><joint name="a2" axis="0 1 0" range="-1 1"/><geom name="lower" size="0.03"/>
+      <body name="upper" pos="0 0 0.6"><joint name="a3" axis="0 1 0" range="-1 1"/><geom name="upper" size="0.03"/>
+        <body name="hand" pos="0.5 0 0"><joint name="a4" axis="1 0 0" range="-2 2"/><site name="tcp" pos="0.2 0 0"/>
+        </body></body>
+      <body name="crank"><joint name="turn" axis="0 1 0"/><geom name="crank" size="0.02"/>
+        <body name="rod" pos="-0.2 0 0"><joint name="push" axis="0 1 0"/>
+          <geom name="rod" type="capsule" size="0.02" fromto="0 0 0.05 0 0 0.55"/></body></body>
+    </body></body></worldbody><equality>EQUALITY</equality></mujoco>"""
+
+
+def test_a_rod_stands_where_mujoco_closes_the_parallelogram(imported):
+    follow = '<joint joint1="turn" joint2="a3"/><joint joint1="push" joint2="turn" polycoef="0 -1"/>'
+    _, file = imported(PARALLELOGRAM.replace("EQUALITY", follow))
+    closed = '<connect body1="rod" body2="upper" anchor="0 0 0.6"/>'
+    arm, model = load_robot(file), mujoco.MjModel.from_xml_string(PARALLELOGRAM.replace("EQUALITY", closed))
+    u = np.random.default_rng(0).uniform(arm.lower, arm.upper, (10, 4))
+    rod = arm.capsule_names.index("rod")
+    for row, ends in zip(u, kinematics_of(arm, u)[1], strict=True):
+        body = solved(model, dict(zip(arm.joint_names, row, strict=True)))[0].body("rod")
+        expected = [body.xpos + body.xmat.reshape(3, 3) @ (0, 0, height) for height in (0.05, 0.55)]
+        assert min(np.abs(ends[rod] - end).max() for end in expected) < 1e-9
+
+
 def test_the_file_that_is_read_directly_is_the_arm_that_is_imported(imported, tmp_path):
     _, file = imported(ARMS["MJCF, drawn elsewhere"][0])
     ours, theirs = load_robot(file), load_robot(tmp_path / "model.xml")
