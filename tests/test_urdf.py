@@ -247,7 +247,8 @@ REFUSED = {
     "a joint twice": (arm(more=joint("elbow", "base", "x") + '<link name="x"/>'), "repeated names: joint 'elbow'"),
     "a link twice": (arm(more='<link name="lower"/>'), "repeated names: link 'lower'"),
     "an axis of zero": (arm().replace('"0 1 0"', '"0 0 0"', 1), "joint 'shoulder': <axis xyz='0 0 0'> has no"),
-    "a follower": (arm(f'{RANGE}<mimic joint="shoulder"/>'), "joint 'elbow' follows shoulder; joints between base and"),
+    "an unknown master": (arm(f'{RANGE}<mimic joint="x"/>'), "joint 'elbow' mimics the unknown joint 'x'; freeze it"),
+    "its own master": (arm(f'{RANGE}<mimic joint="elbow"/>'), "joint 'elbow' mimics itself"),
     "two ranges": (arm(RANGE + RANGE), "joint 'elbow': <joint> has 2 <limit>; it must have one"),
     "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
@@ -275,10 +276,10 @@ def test_a_damaged_urdf_is_refused_in_its_own_words(tmp_path, case):
         assert found.startswith(message)
 
 
-def test_a_follower_is_accepted_where_it_is_frozen(tmp_path):
-    readings(tmp_path, arm(f'{RANGE}<mimic joint="shoulder"/>'))
-    found = import_robot(tmp_path / "arm.urdf", "hand", fixed={"elbow": 0.2}, fewest=2)
-    assert found.joint_names == ("shoulder", "wrist")
+def test_a_follower_is_frozen_with_its_master(tmp_path):
+    readings(tmp_path, arm(f'{RANGE}<mimic joint="shoulder" multiplier="-2"/>'))
+    found = import_robot(tmp_path / "arm.urdf", "hand", fixed={"shoulder": 0.2}, fewest=1)
+    assert found.joint_names == ("wrist",) and found.fixed == {"shoulder": 0.2, "elbow": -0.4}
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar", "spherical"])

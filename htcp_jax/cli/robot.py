@@ -16,7 +16,7 @@ from htcp_jax.clearance.obstacles import make_self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
-from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, shapes_label
+from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, follower_text, shapes_label
 from htcp_jax.model import Robot
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
@@ -60,7 +60,7 @@ Fix = Annotated[
 ]
 Omit = Annotated[
     list[str] | None,
-    typer.Option(metavar="LINK", help="Link without capsules: a linkage's rod, a cable, the part. May be repeated."),
+    typer.Option(metavar="LINK", help="Link without capsules: a cable, the part. May be repeated."),
 ]
 Limits = Annotated[
     Path | None,
@@ -89,9 +89,9 @@ def robot(
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
-    The joints from base to TCP stay movable. All others, such as a gripper's, are frozen; --fix freezes further ones.
+    The joints from base to TCP stay movable, with joints that follow them, such as those of a linkage's rods. All
+    others, such as a gripper's, are frozen; --fix freezes further ones.
     Each revolute or prismatic joint of a URDF needs a range, in the model or in --limits FILE.
-    A warning names frozen joints that mimic a moving joint: exclude their links with --omit.
     Capsules and spheres of the model are kept; fitted capsules enclose meshes, boxes and cylinders. Writes ARM.xml and
     ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
     ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of
@@ -163,7 +163,7 @@ def convert(
             draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = (
         _robot_table(arm),
-        _robot_facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"},
+        _robot_facts(arm, made) | {"self-collision": own.described(made) if own else "no pairs to check"},
     )
     if as_json:
         print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
@@ -253,13 +253,15 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
     return Table("robot", columns.of(*COLUMNS), tuple(rows))
 
 
-def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
+def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
         **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
-        "joints": arm.joint_names,
+        "joints": made.joint_names,
+        **({"followers": follower_text(arm)} if arm.followers else {}),
         "frozen": arm.frozen,
         "fixed": fixed_text(arm),
         "without a shape": arm.shapeless,
         "excluded": arm.excluded,
+        **({"omitted": arm.omitted} if arm.omitted else {}),
     }

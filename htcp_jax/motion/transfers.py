@@ -9,9 +9,10 @@ path that is proven clear.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import tables
+from htcp_jax.model import kinematics
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.configurations import dispersed
 from htcp_jax.motion.joint_search import Limits, join
@@ -79,7 +80,8 @@ def projected(
         x: The configurations [rad or m].
     """
     inputs = problem.inputs(scenario, target)
-    x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, scenario))
+    periodic = np.asarray(kinematics.is_periodic(problem.robot))
+    x = _unwound(checker.project(inputs, x), periodic, checker.executor.limits, _about(problem, scenario))
     return checker.states(inputs, x)._replace(x=x, linear=None)
 
 
@@ -104,7 +106,8 @@ def drawn_configurations(
     for own, number, of in zip(drawn, *numbers, strict=True):
         np.random.default_rng([seed, int(number), STREAM + int(of)]).random(out=own)
     drawn = lower + (upper - lower) * drawn
-    turned = drawn - 2 * np.pi * np.where(problem.robot.slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
+    periodic = np.asarray(kinematics.is_periodic(problem.robot))
+    turned = drawn - 2 * np.pi * np.where(periodic, np.rint((drawn - about) / (2 * np.pi)), 0.0)
     return np.where((turned >= limits[0]) & (turned <= limits[1]), turned, drawn)
 
 
@@ -114,9 +117,14 @@ def _about(problem: Problem, scenario: Int[np.ndarray, "n"]) -> Float[np.ndarray
     return np.where(anywhere, problem.scenarios.x_start[scenario], problem.scenarios.x_home[scenario])
 
 
-def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n N"]:
+def _unwound(
+    x: Float[np.ndarray, "n N"],
+    periodic: Bool[np.ndarray, "N"],
+    limits: Limits,
+    about: Float[np.ndarray, "n N"],
+) -> Float[np.ndarray, "n N"]:
     """Return the configurations with multiples of 2 pi added to unlimited hinges: within pi of `about`."""
-    endless = np.isinf(limits[0]) & np.isinf(limits[1])
+    endless = periodic & np.isinf(limits[0]) & np.isinf(limits[1])
     return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
 
 

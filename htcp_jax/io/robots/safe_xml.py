@@ -29,7 +29,7 @@ LARGEST_NUMERIC = 1000  # maximum number of values in a <numeric>
 
 # MJCF elements without effect on kinematics: tendons, actuators, visual and dynamic properties, and so on.
 LEFT_OUT = {
-    "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
+    "actuator", "asset", "camera", "contact", "deformable", "extension", "hfield", "keyframe", "light",
     "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
@@ -37,14 +37,16 @@ MESHES = "asset", "mesh"  # kept if meshes are requested
 CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and the part's link; kept if requested
 # Names of an arm's own texts: its list, the part's link, the vendor's model, a capsule's cuts.
 LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
+OMITTED = "moving links without capsules"  # name of the text that lists them
 # Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
-OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
+OWN = re.compile(rf"self_collision|link of the part|made from|{OMITTED}|cuts of .*|piece of .*|excluded .*")
 VALID = {  # children of some sections, as anything else there, such as a misplaced body, would be removed with them
     "asset": {"hfield", "material", "mesh", "model", "skin", "texture"},
     "contact": {"exclude", "pair"},
     "equality": {"connect", "flex", "flexstrain", "flexvert", "joint", "tendon", "weld"},
 }
-ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("joint",)}  # children to keep in some kept elements
+# Children to keep in some kept elements.
+ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("connect", "joint", "weld")}
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -74,9 +76,7 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 @no_log()
-def read_spec(
-    path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False, equalities: bool = False
-) -> mujoco.MjSpec:
+def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
     """Read an MJCF or URDF file as an MjSpec, without compiling it.
 
     Args:
@@ -84,7 +84,6 @@ def read_spec(
         meshes: Keep the names of an MJCF file's meshes; a URDF's are always kept.
         visual: Keep a URDF's visual geometry.
         contacts: Keep an MJCF file's contact exclusions, and the list of pairs that `htcp robot` writes.
-        equalities: Keep an MJCF file's joint equalities; a URDF's mimic joints are always kept.
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
@@ -96,14 +95,15 @@ def read_spec(
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     refuse_repeated_names(root, path)
-    joints, bodies = UrdfJoints({}, {}), {}
+    joints, bodies = UrdfJoints({}, {}, {}), {}
     if root.tag == "robot":
         check_elements(root, path, visual)
         check_tree(root, path)
         joints = read_joints(root, path)
     elif root.tag == "mujoco":
-        joints, bodies = UrdfJoints({}, constraints.joint_remarks(root)), constraints.body_remarks(root)
-        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ()), *(("equality",) if equalities else ())}
+        of_joints, bodies = constraints.tendon_remarks(root)
+        joints = UrdfJoints({}, of_joints, {})
+        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
         _leave_out(root, path, LEFT_OUT - kept)
     if visual and root.tag == "robot":
         ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
@@ -114,6 +114,10 @@ def read_spec(
             numbers = [given.get(joint.name, math.inf) for joint in spec.joints]
             if numbers and (name == "speed" or min(numbers) < math.inf):
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
+        for name, value in joints.held.items():
+            spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name).data[0] = (
+                value
+            )
         remarks.add_remarks(spec, joints.remarks, bodies)
         return spec
     except (ValueError, mujoco.FatalError) as error:
