@@ -340,3 +340,18 @@ def test_an_axis_that_is_no_unit_vector_is_named(tmp_path):
     with pytest.warns(Note, match="the length of the <axis> of shoulder is not 1"):
         robot = loaded(tmp_path, text)
     np.testing.assert_array_equal(robot.axis, loaded(tmp_path, arm()).axis)
+
+
+def test_an_impossible_inertia_is_named_and_does_not_matter_to_poses(tmp_path):
+    inertia = '<inertial><mass value="1"/><inertia ixx="1" ixy="2" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    own = {"inertia": arm().replace('<link name="lower">', f'<link name="lower">{inertia}'), "none": arm()}
+    found = {}
+    for name, text in own.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found[name] = loaded(tmp_path, text), import_robot(tmp_path / "arm.urdf", "hand").massive
+        named = "masses of bodies whose inertia has a negative eigenvalue are not used: lower"
+        assert [str(each.message).endswith(named) for each in caught] == ([True] * 2 if name == "inertia" else [])
+    for field in ("T_parent_joint", "axis", "lower", "upper"):
+        np.testing.assert_array_equal(*(getattr(robot, field) for robot, _ in found.values()))
+    assert found["inertia"][1] == ()

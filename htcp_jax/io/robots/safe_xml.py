@@ -10,15 +10,16 @@ these before MuJoCo opens them.
 import math
 import re
 import shlex
+import warnings
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 import mujoco
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import constraints, remarks
-from htcp_jax.io.robots.mujoco_models import no_log, unreadable_model
+from htcp_jax.io.robots.mujoco_models import forget_impossible_inertias, no_log, unreadable_model
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
 from htcp_jax.system import opened
@@ -115,6 +116,9 @@ def read_spec(
             if numbers and (name == "speed" or min(numbers) < math.inf):
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
         remarks.add_remarks(spec, joints.remarks, bodies)
+        if odd := forget_impossible_inertias(spec):
+            text = "masses of bodies whose inertia has a negative eigenvalue are not used"
+            warnings.warn(f"{path}: {text}: {remarks.listed(odd)}", Note, stacklevel=4)
         return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable_model(path, error) from None
