@@ -63,12 +63,10 @@ class BodyCover(NamedTuple):
     def ratio(self) -> float:
         """Volume of the fitted capsules' union, divided by the volume of the convex hull of `enclosed`.
 
-        nan if nothing was fitted.
+        nan if nothing was fitted, and if all shapes are flat.
         """
-        if not self.fitted:
-            return np.nan
-        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3))
-        return close_fit.union_volume(list(self.fitted.values())) / hull
+        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else 0.0
+        return close_fit.union_volume(list(self.fitted.values())) / hull if hull else np.nan
 
     @property
     def excess_m(self) -> float:
