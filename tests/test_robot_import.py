@@ -367,3 +367,12 @@ def test_a_flat_mesh_is_enclosed_and_written(tmp_path):
     (cover,) = arm.covers.values()
     assert np.isnan(cover.ratio) and are_enclosed(cover.enclosed, list(cover.fitted.values()))
     assert "about mesh, flat" in mjcf.arm_xml(arm, "arm.xml")
+
+
+def test_a_mesh_may_be_in_the_folder_above_the_model(tmp_path):
+    """As in a ROS package with the folders urdf/ and meshes/, whose URDF says meshes/boom.stl."""
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "meshes").mkdir()
+    MESH.export(tmp_path / "meshes/boom.stl")
+    (tmp_path / "urdf/crane.urdf").write_text(URDF.replace("package://crane_description/", ""))
+    assert import_robot(tmp_path / "urdf/crane.urdf", "grasp", most=1).joint_names == ("lift", "turn", "bend", "roll")

@@ -19,6 +19,7 @@ import mujoco
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import constraints, remarks
+from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import forget_impossible_inertias, no_log, unreadable_model
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
@@ -34,8 +35,17 @@ LEFT_OUT = {
     "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
+# Those among them that may change a shape or a limit, so that they are named.
+NAMED = {"deformable", "tendon"}
+# Attributes of dynamics, contacts and pictures, which are only counted; MuJoCo refuses what it does not know.
+HARMLESS = {
+    "actuatorgravcomp", "armature", "condim", "damping", "density", "friction", "frictionloss", "gravcomp", "margin",
+    "material", "priority", "rgba", "solimp", "solimpfriction", "solimplimit", "solmix", "solref", "solreffriction",
+    "solreflimit", "springdamper", "springref", "stiffness", "user",
+}  # fmt: skip
 MESHES = "asset", "mesh"  # kept if meshes are requested
 CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and the part's link; kept if requested
+UNUSED = "not used"  # name of the text that lists what was not used
 # Names of an arm's own texts: its list, the part's link, the vendor's model, a capsule's cuts.
 LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
 # Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
@@ -92,20 +102,21 @@ def read_spec(
             file, for repeated names of links and joints, for a URDF whose elements or joints are damaged, and for a
             misplaced element that would be removed.
     """
-    root = parse(path)
+    root, ledger = parse(path), Ledger()
     refuse_xacro(root, path)
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     refuse_repeated_names(root, path)
     joints, bodies = UrdfJoints({}, {}), {}
     if root.tag == "robot":
-        check_elements(root, path, visual)
+        check_elements(root, path, visual, ledger)
         check_tree(root, path)
         joints = read_joints(root, path)
     elif root.tag == "mujoco":
         joints, bodies = UrdfJoints({}, constraints.joint_remarks(root)), constraints.body_remarks(root)
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ()), *(("equality",) if equalities else ())}
-        _leave_out(root, path, LEFT_OUT - kept)
+        _leave_out(root, path, LEFT_OUT - kept, ledger)
+    ledger.warn(path)
     if visual and root.tag == "robot":
         ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
     text = ElementTree.tostring(root, encoding="unicode")
@@ -116,6 +127,8 @@ def read_spec(
             if numbers and (name == "speed" or min(numbers) < math.inf):
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
         remarks.add_remarks(spec, joints.remarks, bodies)
+        if unused := ledger.lines():
+            spec.add_text(name=UNUSED, data="\n".join(unused))
         if odd := forget_impossible_inertias(spec):
             text = "masses of bodies whose inertia has a negative eigenvalue are not used"
             warnings.warn(f"{path}: {text}: {remarks.listed(odd)}", Note, stacklevel=4)
@@ -255,7 +268,9 @@ def _included(include: ElementTree.Element, path: Path, own: Path) -> Path:
     return file
 
 
-def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> None:
+def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger: Ledger) -> None:
+    if any("forcerange" in each.attrib for each in root.iter()):
+        ledger.name("'forcerange' in <actuator>")
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in REFUSED:
@@ -263,11 +278,21 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
             if child.tag not in VALID.get(parent.tag, (child.tag,)):
                 valid = ", ".join(sorted(VALID[parent.tag]))
                 raise InputError(f"{path}: <{child.tag}> is not valid in <{parent.tag}>; valid: {valid}")
-            if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
+            is_text = child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", ""))
+            if child.tag in unwanted or is_text or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
-            elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):
-                parent.remove(child)
+                _add_to(ledger, child, parent)
+        for name in HARMLESS.intersection(parent.attrib):
+            ledger.count(f"{name!r} in <{parent.tag}>")
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:
             raise InputError(f"{path}: numeric {numeric.get('name')!r} must have a size of at most {LARGEST_NUMERIC:,}")
+
+
+def _add_to(ledger: Ledger, removed: ElementTree.Element, parent: ElementTree.Element) -> None:
+    """Add an element that was removed to the ledger."""
+    if removed.tag in NAMED and parent.tag == "mujoco" and len(removed):
+        ledger.name(f"<{removed.tag}>")
+    else:
+        ledger.count(f"<{removed.tag}>")

@@ -20,6 +20,7 @@ from htcp_jax.io.robots.capsule_fit import Capsule, MeshPiece, Triangles
 from htcp_jax.io.robots.chain import FEWEST_JOINTS, Chain, chain_between, check_joints, find_link, link_frames
 from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
+from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import (
     body_name,
     compile_spec,
@@ -27,10 +28,11 @@ from htcp_jax.io.robots.mujoco_models import (
     joint_name,
     massive_bodies,
     model_name,
+    text_of,
     upwards,
 )
 from htcp_jax.io.robots.remarks import OF_IMPORT
-from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.safe_xml import UNUSED, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.stored_pieces import StoredPiece, reduced_piece
@@ -99,6 +101,7 @@ class ImportedArm(NamedTuple):
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # pairs of bodies that an SRDF excludes from self-collision checks
+    unused: tuple[str, ...]  # elements and attributes that were not used, with their numbers, see `ledger`
 
     @property
     def name(self) -> str:
@@ -158,7 +161,8 @@ def import_robot(
     root = 0 if part is None else find_link(model, path, part, _robot_bodies(model, ()), "--part")
     bodies = _robot_bodies(model, (*upwards(model, tip.body), *upwards(model, root)))
     omitted = {find_link(model, path, name, bodies, "--omit") for name in omit}
-    disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
+    names, in_srdf = [body_name(model, b) for b in bodies], Ledger()
+    disabled = disabled_pairs(srdf, model_name(model), names, in_srdf) if srdf else ()
     moving = [j for j in range(model.njnt) if j not in values]
     chain = _moving_chain(model, path, root, tip, values)
     joints = chain.joints
@@ -191,6 +195,7 @@ def import_robot(
         visual=visual,
         shapeless=tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         disabled=tuple(disabled),
+        unused=(*(text_of(model, UNUSED) or "").splitlines(), *in_srdf.lines()),
     )
 
 
