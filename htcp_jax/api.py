@@ -160,9 +160,12 @@ class Plan:
         names = [self.robot.capsule_names[k] for k in self.robot.attached]
         names += [name for each in self.obstacles for name in each.names if name]
         facts = {"self-collision": own[0]} if own else {}
+        unchecked = [f"{', '.join(self.robot.omitted)}: omitted from the model"] if self.robot.omitted else []
         if self.robot.ignored_geoms and self.job.tree is None:
             ignored = ", ".join(self.robot.ignored_geoms)
-            facts = {"not checked": f"{ignored}: no capsule or sphere; convert the arm with htcp robot"} | facts
+            unchecked.append(f"{ignored}: no capsule or sphere; convert the arm with htcp robot")
+        if unchecked:
+            facts = {"not checked": "; ".join(unchecked)} | facts
         if self.robot.pieces is not None:
             facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and convex pieces where in doubt"} | facts
         return facts | ({"fixtures": ", ".join(names)} if names else {})
@@ -298,6 +301,7 @@ class Plan:
                 self.plans,
                 runs.tables.joint_columns(self.robot),
                 self.manipulability[None],
+                runs.tables.follower_columns(self.robot, self.plans.x),
             )
         )
 

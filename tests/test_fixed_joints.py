@@ -81,9 +81,9 @@ def test_a_finger_is_opened_and_the_one_that_follows_it_too(toy, capsys):
     assert "Frozen at a value: left=0.03, right=0.025." in (toy / "arm.xml").read_text()
 
 
-def test_a_value_of_its_own_precedes_that_of_the_joint_it_follows(toy, capsys):
-    words = ["--tcp", "l3", "--fix", "right=0.01", "--fix", "left=0.03"]
-    assert imported(toy, "gripper.urdf", *words, capsys=capsys)[0]["fixed"] == ["left=0.03", "right=0.01"]
+def test_a_follower_may_be_named_only_with_the_value_that_its_master_gives(toy, capsys):
+    words = ["--tcp", "l3", "--fix", "left=0.03", "--fix", "right=0.025"]
+    assert imported(toy, "gripper.urdf", *words, capsys=capsys)[0]["fixed"] == ["left=0.03", "right=0.025"]
 
 
 # A rod beside a moving joint, which it mimics through a crank, as in a parallel linkage.
@@ -95,33 +95,26 @@ ROD = """<link name="rod"><collision><geometry><sphere radius="0.01"/></geometry
 COUPLED = """<body name="rod"><joint name="push" axis="0 1 0" ref="0.5"/><geom size="0.01"/></body>
   </worldbody><equality><joint joint1="push" joint2="reach" polycoef="0 -1 0 0 0"/></equality>"""
 LINKAGES = {
-    "linkage.urdf": (
-        URDF.replace("</robot>", CRANK + ROD + "</robot>"),
-        ["turn mimics j2 and is frozen at 0", "push mimics turn and is frozen at 0"],
-        ["--tcp", "l3"],
-    ),
-    "linkage.xml": (
-        MJCF.replace("</worldbody>", COUPLED),
-        ["push mimics reach and is frozen at 0.5"],
-        ["--tcp", "tcp"],
-    ),
+    "linkage.urdf": (URDF.replace("</robot>", CRANK + ROD + "</robot>"), ["turn = -j2", "push = turn"], "l3"),
+    "linkage.xml": (MJCF.replace("</worldbody>", COUPLED), ["push = -reach + 0.5"], "tcp"),
 }
 
 
 @pytest.mark.parametrize("command", ["robot", "cell"])
 @pytest.mark.parametrize("file", LINKAGES)
-def test_a_link_that_does_not_follow_a_moving_joint_is_named_until_it_is_omitted(tmp_path, capsys, file, command):
+def test_a_rod_that_follows_a_moving_joint_has_capsules_until_it_is_omitted(tmp_path, capsys, file, command):
     text, follow, tcp = LINKAGES[file]
     (tmp_path / file).write_text(text)
-    end = ["--tool", tcp[1], "--part", "world"] if command == "cell" else tcp
-    words = [command, str(tmp_path / file), *end, "--out", str(tmp_path / "arm.xml"), "--replace"]
+    end = ["--tool", tcp, "--part", "world"] if command == "cell" else ["--tcp", tcp]
+    words = [command, str(tmp_path / file), *end, "--out", str(tmp_path / "arm.xml"), "--replace", "--json"]
     assert main(words) == 0
-    remedy = "its link does not follow; exclude it with --omit rod"
-    shown = [line for line in capsys.readouterr().err.splitlines() if "mimics" in line]
-    assert shown == [f"htcp: warning: {tmp_path / file}: {each}: {remedy}" for each in follow]
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["followers"] == follow and "omitted" not in facts
     assert 'name="rod' in (tmp_path / "arm.xml").read_text().replace('<body name="rod', "")
     assert main([*words, "--omit", "rod"]) == 0
-    assert "mimics" not in capsys.readouterr().err
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["followers"] == follow and facts["omitted"] == ["rod"]
+    assert load_robot(tmp_path / "arm.xml").omitted == ("rod",)
     assert 'name="rod' not in (tmp_path / "arm.xml").read_text().replace('<body name="rod', "")
 
 
@@ -136,6 +129,10 @@ ONE_LINE = {
     "tilt=20deg": "it must be JOINT=VALUE",
     "pan=0": "--fix pan=0: pan is fixed twice",
 }
+FOLLOWER = {  # options that name a follower, and the end of the message
+    ("right=0.01",): "right=0.01: this joint follows left; freeze that joint instead",
+    ("right=0.01", "left=0.03"): "right=0.01: this joint follows left; it is at 0.025",
+}
 
 
 @pytest.mark.parametrize("option", ONE_LINE)
@@ -148,30 +145,15 @@ def test_bad_input_is_one_line_and_nothing_is_written(toy, capsys, option):
     assert sorted(toy.iterdir()) == there
 
 
+@pytest.mark.parametrize("options", FOLLOWER)
+def test_a_follower_with_another_value_is_one_line(toy, capsys, options):
+    words = [word for option in options for word in ("--fix", option)]
+    assert main(["robot", str(toy / "gripper.urdf"), "--tcp", "l3", "--out", str(toy / "arm.xml"), *words]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and printed.endswith(f"{FOLLOWER[options]}\n")
+
+
 def test_too_few_joints_are_left(toy, capsys):
     words = [word for name in ("pan", "tilt", "reach") for word in ("--fix", f"{name}=0.1")]
     assert main(["robot", str(toy / "toy.xml"), "--out", str(toy / "arm.xml"), *words]) == 2
     assert "2 joints from the world to the TCP; at least 3 are needed" in capsys.readouterr().err
-
-
-COUPLED = {
-    "a follower": ('<joint joint1="bend" joint2="reach" polycoef="0.1 2"/>', "joint 'bend' is coupled to reach"),
-    "a held joint": ('<joint joint1="bend" polycoef="0.1"/>', "joint 'bend' is held at 0.1"),
-}
-
-
-@pytest.mark.parametrize("case", COUPLED)
-def test_a_joint_of_the_chain_that_an_equality_drives_is_refused_until_it_is_frozen(toy, capsys, case):
-    equality, line = COUPLED[case]
-    (toy / "toy.xml").write_text(MJCF.replace("</mujoco>", f"<equality>{equality}</equality></mujoco>"))
-    assert main(["robot", str(toy / "toy.xml"), "--out", str(toy / "arm.xml")]) == 2
-    printed = capsys.readouterr().err
-    assert printed.count("\n") == 1 and line in printed and "--fix bend=VALUE" in printed
-    assert imported(toy, "toy.xml", "--fix", "bend=0.3", capsys=capsys)[0]["joints"] == ["pan", "tilt", "reach", "roll"]
-
-
-def test_a_closed_loop_of_the_chain_is_a_warning(toy):
-    loop = '<equality><connect body1="c" anchor="0 0 0"/><weld body1="b" body2="a" active="false"/></equality>'
-    (toy / "toy.xml").write_text(MJCF.replace("</mujoco>", f"{loop}</mujoco>"))
-    with pytest.warns(UserWarning, match="toy.xml: ignored in <equality>: <connect> of c and world$"):
-        load_robot(toy / "toy.xml")

@@ -247,7 +247,8 @@ REFUSED = {
     "a joint twice": (arm(more=joint("elbow", "base", "x") + '<link name="x"/>'), "repeated names: joint 'elbow'"),
     "a link twice": (arm(more='<link name="lower"/>'), "repeated names: link 'lower'"),
     "an axis of zero": (arm().replace('"0 1 0"', '"0 0 0"', 1), "joint 'shoulder': <axis xyz='0 0 0'> has no"),
-    "a follower": (arm(f'{RANGE}<mimic joint="shoulder"/>'), "joint 'elbow' follows shoulder; joints between base and"),
+    "an unknown master": (arm(f'{RANGE}<mimic joint="x"/>'), "joint 'elbow' mimics the unknown joint 'x'; freeze it"),
+    "its own master": (arm(f'{RANGE}<mimic joint="elbow"/>'), "joint 'elbow' mimics itself"),
     "two ranges": (arm(RANGE + RANGE), "joint 'elbow': <joint> has 2 <limit>; it must have one"),
     "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),
     "no child": (arm().replace('<child link="hand"/>', ""), "joint 'wrist': <joint> has no <child>"),
@@ -275,10 +276,10 @@ def test_a_damaged_urdf_is_refused_in_its_own_words(tmp_path, case):
         assert found.startswith(message)
 
 
-def test_a_follower_is_accepted_where_it_is_frozen(tmp_path):
-    readings(tmp_path, arm(f'{RANGE}<mimic joint="shoulder"/>'))
-    found = import_robot(tmp_path / "arm.urdf", "hand", fixed={"elbow": 0.2}, fewest=2)
-    assert found.joint_names == ("shoulder", "wrist")
+def test_a_follower_is_frozen_with_its_master(tmp_path):
+    readings(tmp_path, arm(f'{RANGE}<mimic joint="shoulder" multiplier="-2"/>'))
+    found = import_robot(tmp_path / "arm.urdf", "hand", fixed={"shoulder": 0.2}, fewest=1)
+    assert found.joint_names == ("wrist",) and found.fixed == {"shoulder": 0.2, "elbow": -0.4}
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar", "spherical"])
@@ -375,16 +376,22 @@ def test_the_ledger_counts_what_is_not_used_and_names_what_is_not_harmless(tmp_p
     assert found == ([named] if named else [])
 
 
-def test_the_ledger_of_an_mjcf_file_names_tendons_and_limits_of_motors(tmp_path):
+def test_the_ledger_of_an_mjcf_file_names_soft_bodies_and_limits_of_motors(tmp_path):
     body = '<geom size="0.1"/>'
     for name in "cba":
         body = f'<body name="{name}" pos="0 0 0.3"><joint name="j{name}" range="-1 1" damping="2"/>{body}</body>'
-    rest = '<tendon><fixed name="t"><joint joint="ja" coef="1"/></fixed></tendon>'
+    rest = '<deformable><skin name="s" file="a.skn"/></deformable><keyframe/>'
     rest += '<actuator><motor joint="ja" forcerange="-9 9"/></actuator>'
     (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>")
-    with pytest.warns(UserWarning, match=r"arm.xml: not used: 'forcerange' in <actuator>, <tendon>$"):
+    with pytest.warns(UserWarning, match=r"arm.xml: not used: 'forcerange' in <actuator>, <deformable>$"):
         unused = import_robot(tmp_path / "arm.xml", "c").unused
-    assert unused == ("'damping' in <joint> 3", "'forcerange' in <actuator> 1", "<tendon> 1", "<actuator> 1")
+    assert unused == (
+        "'damping' in <joint> 3",
+        "'forcerange' in <actuator> 1",
+        "<deformable> 1",
+        "<keyframe> 1",
+        "<actuator> 1",
+    )
 
 
 def test_verbose_lists_the_ledger(tmp_path, capsys):

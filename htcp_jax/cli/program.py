@@ -195,9 +195,10 @@ def _limits_in_file(file: Path | None, job: PlanConfig) -> _LimitsInFile:
     if file is None:
         return _LimitsInFile()
     robot = build.robot_of(job.robot, job.cell, job.tree)
-    stated = read_joint_limits(file, robot.joint_names, robot.name)
+    stated = read_joint_limits(file, robot.all_joint_names, robot.name)
     overrides = limits_overrides(stated, robot, limits_of_job(job, robot))
-    return _LimitsInFile(stated, overrides, stated.note(speed=np.asarray(robot.speed, float)))
+    speed = None if robot.coupling else np.asarray(robot.speed, float)  # joints that follow have no own limit
+    return _LimitsInFile(stated, overrides, stated.note(speed=speed))
 
 
 def _print_note(in_file: _LimitsInFile) -> None:

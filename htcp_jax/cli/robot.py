@@ -16,7 +16,7 @@ from htcp_jax.clearance.obstacles import make_self_collision, self_exclusions
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
-from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, shapes_label
+from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, follower_text, shapes_label
 from htcp_jax.model import Robot
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
@@ -169,7 +169,7 @@ def convert(
             draw_arm(arm, text, title).savefig(folder / picture.name)
     table, facts = (
         _robot_table(arm),
-        _robot_facts(arm) | {"self-collision": own.described(made) if own else "no pairs to check"},
+        _robot_facts(arm, made) | {"self-collision": own.described(made) if own else "no pairs to check"},
     )
     if verbose:
         facts["not used"] = arm.unused
@@ -261,13 +261,15 @@ def _robot_table(arm: robots.ImportedArm) -> Table:
     return Table("robot", columns.of(*COLUMNS), tuple(rows))
 
 
-def _robot_facts(arm: robots.ImportedArm) -> dict[str, str | tuple[str, ...]]:
+def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[str, ...]]:
     return {
         "TCP": arm.tip.name,
         **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
-        "joints": arm.joint_names,
+        "joints": made.joint_names,
+        **({"followers": follower_text(arm)} if arm.followers else {}),
         "frozen": arm.frozen,
         "fixed": fixed_text(arm),
         "without a shape": arm.shapeless,
         "excluded": arm.excluded,
+        **({"omitted": arm.omitted} if arm.omitted else {}),
     }

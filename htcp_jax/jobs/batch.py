@@ -224,8 +224,9 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
     Raises:
         InputError: If the number or the types of the joints differ.
     """
-    if robot.slides != first.slides:
-        kinds = [f"{one.name} has {len(one.slides)} joints, {sum(one.slides)} of them slides" for one in (robot, first)]
+    own, firsts = ((each.slides, each.parents, each.tcp_link, each.sliding) for each in (robot, first))
+    if own != firsts:
+        kinds = [f"{one.name} has {one.dof} joints, {sum(one.sliding)} of them slides" for one in (robot, first)]
         raise InputError(
             f"{where}: {'; '.join(kinds)}; all robots of a sweep must have the same numbers of hinge and slide joints"
         )

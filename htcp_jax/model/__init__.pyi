@@ -1,5 +1,6 @@
 from . import arrays, duct, fixture, kinematics, robot, scenario, surface
 from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
+from .coupling import Coupling, JointLimits, coordinate_limits, joints_between, moved_by
 from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
@@ -28,10 +29,12 @@ __all__ = [
     "TCP_POSITION",
     "BodyPieces",
     "ConvexPiece",
+    "Coupling",
     "Feature",
     "FeatureMotion",
     "Fixture",
     "InletDirection",
+    "JointLimits",
     "NearbyBody",
     "PathFrames",
     "PointCover",
@@ -49,6 +52,7 @@ __all__ = [
     "axis_angle_matrix",
     "body_pieces",
     "check_constant_angles",
+    "coordinate_limits",
     "cover_mesh",
     "damped_step",
     "duct",
@@ -57,11 +61,13 @@ __all__ = [
     "follower_position",
     "interior_plane_of",
     "interior_rule",
+    "joints_between",
     "kinematics",
     "make_piece",
     "make_scenario",
     "make_scenarios",
     "median_distance",
+    "moved_by",
     "place_of",
     "quaternion_matrix",
     "reanchor",

@@ -1,5 +1,7 @@
 """Kinematics of one configuration x (N,) [rad or m], in closed form: link poses, TCP, capsules, Jacobians.
 
+If joints follow others, q = C x + d is computed once, and Jacobians by q are multiplied by C, see `coupling`.
+
 The paper's Gamma and Jac; the geometric Jacobian is that of Siciliano et al., Robotics, section 3.1.
 
 No matrix is inverted or decomposed, and the loop over the joints is unrolled on a GPU, so the functions compile fast
@@ -7,6 +9,7 @@ and batch well. Several of them in one jitted function cost one pass over the jo
 subexpressions. x may also be a list. An x that is not one configuration of the robot raises InputError.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -14,27 +17,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.backend import backend
+from htcp_jax.model.coupling import moved_by
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import checked_shape, product
-from htcp_jax.types import Array, Float, Int, Joints, Pose, Vector3
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Vector3
 
 
-def link_poses(robot: Robot, x: Joints) -> Float[Array, "N 4 4"]:
+def link_poses(robot: Robot, x: Joints) -> Float[Array, "J 4 4"]:
     """Return T_world_link, the frame of every link in the world [m]."""
     return _homogeneous(_link_frames(robot, x))
 
 
 def tcp_pose(robot: Robot, x: Joints) -> Pose:
     """Return T_world_tcp, the frame of the tool centre point in the world [m]."""
-    last = _frame_at(_link_frames(robot, x), -1)
+    last = _frame_at(_link_frames(robot, x), robot.tcp_link)
     T = robot.T_link_tcp
     return _homogeneous(_Frames(product(last.rotation, T[:3, :3]), _to_world(last, T[:3, 3])))
 
 
 def tcp_position(robot: Robot, x: Joints) -> Vector3:
     """Return the tool centre point in the world [m]; the paper's Gamma_j(x), equation (1)."""
-    return _to_world(_frame_at(_link_frames(robot, x), -1), robot.T_link_tcp[:3, 3])
+    return _to_world(_frame_at(_link_frames(robot, x), robot.tcp_link), robot.T_link_tcp[:3, 3])
 
 
 def capsule_segments(robot: Robot, x: Joints) -> tuple[Float[Array, "K 3"], Float[Array, "K 3"]]:
@@ -63,16 +67,21 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 
 def _last_capsules(robot: Robot) -> np.ndarray:
-    """Return the indices of the capsules of the last link that has capsules, without fixtures, which come last."""
+    """Return the indices of the capsules of the chain's last link that has capsules, without fixtures."""
     links = np.delete(robot.capsule_link, robot.attached)
-    return np.flatnonzero(links == max(links))
+    return np.flatnonzero(links == max(links[links <= robot.tcp_link]))
 
 
 class TipBounds(NamedTuple):
     """Bounds on the motion of the bare tip, without the tool's extension."""
 
-    speeds: Float[np.ndarray, "N"]  # bounds on the speed of the tip's points per unit speed of each joint [m/rad or 1]
+    speeds: Float[np.ndarray, "n"]  # of the tip's points, per unit speed of each of the chain's joints [m/rad or 1]
     is_rigid: bool  # True if both ends of the tip are fixed to the last link
+    factors: Float[np.ndarray, "n N"] | None = None  # the chain's joints by the coordinates; None: they are the same
+
+    def turned(self, step: Float[np.ndarray, "*n N"]) -> Float[np.ndarray, "*n n"]:
+        """Return by how much each of the chain's joints moves on straight joint paths [rad or m]."""
+        return np.abs(step if self.factors is None else step @ self.factors.T)
 
 
 def tip_bounds(robot: Robot) -> TipBounds:
@@ -81,13 +90,15 @@ def tip_bounds(robot: Robot) -> TipBounds:
     A speed's bound is the sum of the lengths of the links after the joint, of the tip's distance from its link's
     origin, and of the slides' travel.
     """
-    slides, last = np.array(robot.slides), _last_capsules(robot)
-    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
-    links += np.where(slides, np.maximum(np.abs(robot.lower), np.abs(robot.upper)), 0.0)[1:]
+    chain, last = slice(robot.tcp_link + 1), _last_capsules(robot)
+    slides = np.array(robot.slides)[chain]
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[chain][1:, :3, 3], axis=1)
+    links += np.where(slides, joint_travel(robot)[chain], 0.0)[1:]
     ends = np.concatenate([np.asarray(end)[last] for end in (robot.capsule_p, robot.capsule_q)])
     tip = np.linalg.norm(np.vstack([ends, np.asarray(robot.T_link_tcp)[:3, 3]]), axis=1).max()
     speeds = np.where(slides, 1.0, np.append(np.cumsum(links[::-1])[::-1], 0.0) + tip)
-    return TipBounds(speeds, robot.capsule_link[last[0]] == len(slides) - 1)
+    factors = None if robot.coupling is None else np.asarray(robot.coupling.factors)[chain]
+    return TipBounds(speeds, robot.capsule_link[last[0]] == robot.tcp_link, factors)
 
 
 class ArmShape(NamedTuple):
@@ -126,16 +137,18 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     The paper's Jac(x) of (7).
     """
     links = _link_frames(robot, x)
-    tcp = _to_world(_frame_at(links, -1), robot.T_link_tcp[:3, 3])
+    tcp = _to_world(_frame_at(links, robot.tcp_link), robot.T_link_tcp[:3, 3])
+    if robot.coupling is not None:
+        return point_jacobians(robot, x, tcp[None], (robot.tcp_link,))[0]
     return _velocities(robot, links, tcp[None])[0].T
 
 
 def point_jacobians(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[Array, "P"]
+    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"]
 ) -> Float[Array, "P 3 N"]:
     """Return the translational Jacobians of points that are fixed to links [m/rad or m/m].
 
-    Joints after a point's link do not move the point: their columns are zero.
+    Joints that do not move a point's link do not move the point: their columns are zero.
 
     Args:
         robot: The robot.
@@ -143,9 +156,43 @@ def point_jacobians(
         points: Positions of the points at x, in the world [m].
         links: Index of each point's link, -1 for the world; `robot.capsule_link` for one point per capsule.
     """
-    moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
+    return by_coordinates(robot, by_joint(robot, x, points, links))
+
+
+def by_joint(
+    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"] | None
+) -> Float[Array, "P 3 J"]:
+    """Return the Jacobians of points by the joints q, see `point_jacobians`; links None: every joint moves them."""
+    if links is None:
+        return _velocities(robot, _link_frames(robot, x), points).swapaxes(1, 2)
+    if robot.coupling is None:
+        moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
+    else:
+        moves = moved_by(robot.parents)[np.array(links)]
     velocities = _velocities(robot, _link_frames(robot, x), points)
     return jnp.where(moves[:, :, None], velocities, 0.0).swapaxes(1, 2)
+
+
+def by_coordinates(robot: Robot, columns: Float[Array, "*n J"]) -> Float[Array, "*n N"]:
+    """Return Jacobians by the coordinates x, from those by the joints q = C x + d."""
+    if robot.coupling is None:
+        return columns
+    return product(columns.reshape(-1, columns.shape[-1]), robot.coupling.factors).reshape(*columns.shape[:-1], -1)
+
+
+def joint_rates(robot: Robot, rates: Joints) -> Float[Array, "J"]:
+    """Return the rates C x' of the joints q, from those of the coordinates [rad or m]."""
+    return rates if robot.coupling is None else product(robot.coupling.factors, rates)
+
+
+def joint_ranges(robot: Robot, turns: Joints) -> Float[Array, "J"]:
+    """Return bounds |C| d on the motion of the joints q if every coordinate moves by at most d [rad or m]."""
+    return turns if robot.coupling is None else product(jnp.abs(robot.coupling.factors), turns)
+
+
+def joint_positions(robot: Robot, x: Joints) -> Float[Array, "J"]:
+    """Return the joints' positions q = C x + d [rad or m]."""
+    return x if robot.coupling is None else product(robot.coupling.factors, x) + robot.coupling.offsets
 
 
 def point_positions(
@@ -187,10 +234,9 @@ def direction_jacobians(
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
-    joints = np.arange(len(robot.slides))
-    moves = (joints[None, :] <= np.array(links)[:, None]) & ~np.array(robot.slides)[None, :]
+    moves = moved_by(robot.parents)[np.array(links)] & ~np.array(robot.slides)[None, :]
     turning = jnp.cross(axes[None], directions[:, None])
-    return jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2)
+    return by_coordinates(robot, jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2))
 
 
 def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
@@ -204,7 +250,35 @@ def checked_configuration(robot: Robot, x: Joints, name: str = "x") -> Joints:
     Raises:
         InputError: For any other shape, such as several configurations.
     """
-    return checked_shape(x, (len(robot.slides),), f"{name} of {robot.name}")
+    return checked_shape(x, (robot.dof,), f"{name} of {robot.name}")
+
+
+def with_free_joints(robot: Robot) -> Robot:
+    """Return the robot with its joints q as coordinates, for kinematics only: the limits remain those of x."""
+    if robot.coupling is None:
+        return robot
+    joints = len(robot.slides)
+    own = dataclasses.replace(robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=robot.slides)
+    return dataclasses.replace(robot, joint_names=own.joint_names, coupling=own)
+
+
+def is_periodic(robot: Robot) -> Bool[Anywhere, "N"]:
+    """Return True for coordinates after one revolution of which every link is back in its place."""
+    hinge = ~np.array(robot.slides)
+    if robot.coupling is None:
+        return hinge
+    factors = robot.coupling.factors
+    return jnp.all((factors == 0) | (factors == jnp.round(factors)) & hinge[:, None], axis=0)
+
+
+def joint_travel(robot: Robot) -> Float[np.ndarray, "J"]:
+    """Return the largest |q| of every joint within the limits [rad or m]."""
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    if robot.coupling is not None:
+        factors, offsets = np.asarray(robot.coupling.factors), np.asarray(robot.coupling.offsets)
+        ends = [factors * np.where(factors != 0, limit, 0.0) for limit in (lower, upper)]
+        lower, upper = (choose(*ends).sum(axis=1) + offsets for choose in (np.minimum, np.maximum))
+    return np.maximum(np.abs(lower), np.abs(upper))
 
 
 def max_reach(robot: Robot) -> float:
@@ -212,8 +286,9 @@ def max_reach(robot: Robot) -> float:
 
     The bound is the sum of the lengths of links and tool and of the slides' travel; infinite if a slide has no limits.
     """
-    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[1:, :3, 3], axis=1)
-    travel = np.maximum(np.abs(robot.lower), np.abs(robot.upper))[np.array(robot.slides)]
+    chain = slice(robot.tcp_link + 1)
+    links = np.linalg.norm(np.asarray(robot.T_parent_joint)[chain][1:, :3, 3], axis=1)
+    travel = joint_travel(robot)[chain][np.array(robot.slides)[chain]]
     return float(links.sum() + travel.sum() + np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
 
 
@@ -223,9 +298,13 @@ def body_reach(robot: Robot) -> Float[np.ndarray, "K"]:
     The bound is computed as in `max_reach`; it is -inf for bodies that are fixed in the world.
     """
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[:, :3, 3], axis=1)
-    links[0] = 0.0
-    travel = np.where(robot.slides, np.maximum(np.abs(robot.lower), np.abs(robot.upper)), 0.0)
-    to_link = np.append(np.cumsum(links + travel), -np.inf)[list(robot.capsule_link)]  # the world last: it is link -1
+    to_base, links[0] = links[0], 0.0
+    travel = np.where(robot.slides, joint_travel(robot), 0.0)
+    along = np.cumsum(links + travel)
+    for link in range(robot.tcp_link + 1, len(along)):  # on side branches
+        parent = robot.parents[link]
+        along[link] = links[link] + travel[link] + (along[parent] if parent >= 0 else to_base)
+    to_link = np.append(along, -np.inf)[list(robot.capsule_link)]  # the world last: it is link -1
     ends = [np.linalg.norm(np.asarray(end), axis=1) for end in (robot.capsule_p, robot.capsule_q)]
     return to_link + np.maximum(*ends) + np.asarray(robot.capsule_radius)
 
@@ -239,8 +318,8 @@ class _Frames(NamedTuple):
 
 @jax.jit
 def _link_frames(robot: Robot, x: Joints) -> _Frames:
-    """Return the frames of the N links, by multiplying the joints' motions along the chain."""
-    x = checked_configuration(robot, x)
+    """Return the frames of the J links, by multiplying the joints' motions along the chain."""
+    x = joint_positions(robot, checked_configuration(robot, x))
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
     slides = np.array(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
@@ -252,8 +331,14 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
         return link, link
 
     world = _Frames(jnp.eye(3, dtype=x.dtype), jnp.zeros(3, x.dtype))
+    chain = jax.tree.map(lambda each: each[: robot.tcp_link + 1], steps) if robot.coupling else steps
     # On a CPU a loop costs little and keeps executables small: each contains the kinematics several times.
-    return jax.lax.scan(then, world, steps, unroll=1 if backend().is_cpu else len(slides))[1]
+    found = jax.lax.scan(then, world, chain, unroll=1 if backend().is_cpu else robot.tcp_link + 1)[1]
+    for link in range(robot.tcp_link + 1, len(slides)):  # on side branches
+        parent = robot.parents[link]
+        own = then(world if parent < 0 else _frame_at(found, parent), _frame_at(steps, link))[0]
+        found = jax.tree.map(lambda every, one: jnp.concatenate([every, one[None]]), found, own)
+    return found
 
 
 def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
@@ -267,8 +352,8 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
 
 
 @jax.jit
-def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Float[Array, "P N 3"]:
-    """Return each point's velocity per unit velocity of each joint, as if all points were fixed to the last link."""
+def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Float[Array, "P J 3"]:
+    """Return each point's velocity per unit velocity of each joint q, as if all points were fixed to the last link."""
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
     return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)

@@ -17,6 +17,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import BodyPieces
+from htcp_jax.model.coupling import Coupling
 from htcp_jax.notebook import html_facts
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
@@ -76,15 +77,16 @@ class VendorMeshes(Protocol):
 @register_pytree
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A serial arm of N hinge or slide joints with K capsules, in metres and radians.
+    """An arm of J hinge or slide joints, moved by N coordinates x, with K capsules, in metres and radians.
 
     The frame of link i is the frame of joint i after its motion: its origin lies on the joint's axis, and at
-    x = 0 it is T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0).
+    q = 0 it is T_parent_joint[i] in the frame of link i - 1 (of the world for i = 0). Unless joints follow others, see
+    `coupling`, the joints are the coordinates: J = N and q = x.
     """
 
-    T_parent_joint: Float[Array, "N 4 4"]  # joint i's frame at x = 0, in link i - 1
-    axis: Float[Array, "N 3"]  # unit, in the joint's own frame
-    T_link_tcp: Pose  # in the last link; z points out of the tool
+    T_parent_joint: Float[Array, "J 4 4"]  # joint i's frame at q = 0, in its parent link
+    axis: Float[Array, "J 3"]  # unit, in the joint's own frame
+    T_link_tcp: Pose  # in the link `tcp_link`; z points out of the tool
     lower: Joints  # [rad or m], -inf where the model sets no limit
     upper: Joints  # [rad or m], inf where the model sets no limit
     speed: Joints  # [rad/s or m/s], inf where the model sets no limit
@@ -95,8 +97,8 @@ class Robot:
     capsule_radius: Float[Array, "K"]  # [m]
     on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
     name: str = dataclasses.field(metadata=LABEL)
-    joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
-    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)
+    joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of the coordinates
+    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # of the J joints
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
     capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # for contact, no capsule or sphere
@@ -114,6 +116,44 @@ class Robot:
     base_frames: tuple[ArmFrame, ...] = dataclasses.field(default=(), metadata=LABEL)
     # the workshop's frame; on a link of the chain if the part moves
     world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
+    omitted: tuple[str, ...] = dataclasses.field(default=(), metadata=LABEL)  # links that move and have no capsules
+    coupling: Coupling | None = None  # None: no joint follows another, J = N, and the links are one chain
+
+    @property
+    def dof(self) -> int:
+        """Number of coordinates, N."""
+        return len(self.joint_names)
+
+    @property
+    def sliding(self) -> tuple[bool, ...]:
+        """True for coordinates that are sliding joints."""
+        return self.slides if self.coupling is None else self.coupling.slides
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """The link that carries each joint; -1 is the world."""
+        return tuple(range(-1, len(self.slides) - 1)) if self.coupling is None else self.coupling.parents
+
+    @property
+    def tcp_link(self) -> int:
+        """The link that carries the TCP, the last one of the chain."""
+        return len(self.slides) - 1 if self.coupling is None else self.coupling.tcp_link
+
+    @property
+    def all_joint_names(self) -> tuple[str, ...]:
+        """Names of the J joints, of which `joint_names` are those of the coordinates."""
+        return self.joint_names if self.coupling is None else self.coupling.joint_names
+
+    @property
+    def followers(self) -> tuple[int, ...]:
+        """Indices of the joints that follow others."""
+        return tuple(j for j, name in enumerate(self.all_joint_names) if name not in self.joint_names)
+
+    @property
+    def counted_joints(self) -> str:
+        """The number of coordinates as text; if joints follow others, with the names of both."""
+        followers = ", ".join(self.all_joint_names[j] for j in self.followers)
+        return f"{self.dof} joints" + (followers and f" ({', '.join(self.joint_names)}; {followers} follow them)")
 
     @property
     def part_moves(self) -> bool:
@@ -126,7 +166,7 @@ class Robot:
         return next(frame.name for frame in self.base_frames if not any(frame.origin_m)) if self.part_moves else None
 
     def _repr_html_(self) -> str:
-        limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.slides, strict=True)
+        limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.sliding, strict=True)
         radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)
         facts = {name: f"{low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for name, low, high, slides in limits}
         facts["capsules"] = ", ".join(f"{name} ({1e3 * radius:.0f} mm)" for name, radius in radii)

@@ -138,7 +138,7 @@ class Task:
         Raises:
             InputError: For more equations than joints.
         """
-        joints = len(robot.slides)
+        joints = robot.dof
         if self.rows > joints:
             raise InputError(f"the task has {self.rows} equations, more than the {joints} joints of robot {robot.name}")
         return joints - self.rows
@@ -313,7 +313,7 @@ def _axes(robot: Robot, x: Joints, frame: ArmFrame) -> Float[Array, "3 3"]:
 
 
 def _turns_with_last(robot: Robot, feature: Feature) -> bool:
-    last = feature.link in (None, len(robot.slides) - 1)
+    last = feature.link in (None, robot.tcp_link)
     return last and feature.is_direction and feature.seen_from is None
 
 
@@ -324,7 +324,7 @@ def _fixed(robot: Robot, feature: Feature) -> tuple[Float[Array, "3"], tuple[int
         return vector, (feature.link,)
     T = robot.T_link_tcp
     turned = product(T[:3, :3], vector)
-    return (turned if feature.is_direction else turned + T[:3, 3]), (len(robot.slides) - 1,)
+    return (turned if feature.is_direction else turned + T[:3, 3]), (robot.tcp_link,)
 
 
 def _rows_of_feature(feature: Feature, rows: Array) -> Array:

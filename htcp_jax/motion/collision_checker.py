@@ -148,7 +148,7 @@ class CollisionChecker:
         good = np.array(among)
         if self._guard is None or not good.any():
             return good
-        turned = np.abs(b - a)
+        turned = self._tip.turned(b - a)
         travel = turned @ self._tip.speeds + np.abs(inputs.tool_extension_m) * turned.sum(axis=1)  # at most [m]
         path = np.flatnonzero(good)
         path, _ = self._near_walls(inputs, a, b, travel, path, np.zeros_like(path), PLACES)

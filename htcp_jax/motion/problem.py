@@ -252,7 +252,7 @@ def _check_settings(settings: Settings, robot: Robot) -> None:
     for name in ("q_weights", "path_weights", "max_joint_step_rad"):
         weights = getattr(settings, name)
         if isinstance(weights, tuple) and len(weights) != joints:
-            raise InputError(f"{name} has {len(weights)} values, but the robot {robot.name} has {joints} joints")
+            raise InputError(f"{name} has {len(weights)} values, but the robot {robot.name} has {robot.counted_joints}")
     if settings.qp.startswith("qpsolvers:"):
         from htcp_jax.solvers import QPSolversSolver
 

@@ -101,10 +101,9 @@ def tool(settings: Settings, scene: Scene, lane: LaneInputs, quaternion, rho, bo
 
 
 def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, bodies) -> exclusion.CellBounds:
-    """Return the `CellBounds` of a box of the joints before the wrist.
+    """Return the `CellBounds` of a box of the coordinates that move the joints before the wrist.
 
-    The box is a cube in coordinates in which -1 to 1 is each joint's range; the range of a hinge is one revolution at
-    most.
+    The box is a cube in which -1 to 1 is each coordinate's range; the range of a hinge is one revolution at most.
 
     Args:
         settings: Not used.
@@ -116,8 +115,14 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     """
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
-    upper = jnp.where(jnp.array(robot.slides), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
-    x = 0.5 * (lower + upper + (upper - lower) * jnp.pad(cube, (0, exclusion.WRIST)))
+    endless = ~kinematics.is_periodic(robot)
+    upper = jnp.where(jnp.array(endless), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
+    if robot.coupling is None:
+        cube = jnp.pad(cube, (0, exclusion.WRIST))
+    else:
+        free = exclusion.before_wrist(robot)
+        cube = jnp.where(free, cube[jnp.cumsum(free) - 1], 0.0)
+    x = 0.5 * (lower + upper + (upper - lower) * cube)
     turns = 0.5 * (upper - lower) * half
     return exclusion.arm_cell(scene, lane, scene.task.tcp_place(lane.target), x, turns, bodies)
 
@@ -167,7 +172,7 @@ def tool_cells(
     by_branch = robot is not None and branch_exclusion.has_branches(robot)
     covers = [_complete_cover(lanes, FACES, 3)]
     if robot is not None and not by_branch and exclusion.has_wrist(robot):
-        covers.append(_complete_cover(lanes, 1, len(robot.slides) - exclusion.WRIST))
+        covers.append(_complete_cover(lanes, 1, int(np.asarray(exclusion.before_wrist(robot)).sum())))
     going, done = np.ones(lanes, bool), []
     while going.any():
         smaller = np.argmin([np.bincount(cells.lane, minlength=lanes) for cells in covers], axis=0)

@@ -9,9 +9,10 @@ path that is proven clear.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import tables
+from htcp_jax.model import kinematics
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.configurations import dispersed
 from htcp_jax.motion.joint_search import Limits, join
@@ -79,7 +80,8 @@ def projected(
         x: The configurations [rad or m].
     """
     inputs = problem.inputs(scenario, target)
-    x = _unwound(checker.project(inputs, x), checker.executor.limits, _about(problem, scenario))
+    periodic = np.asarray(kinematics.is_periodic(problem.robot))
+    x = _unwound(checker.project(inputs, x), periodic, checker.executor.limits, _about(problem, scenario))
     return checker.states(inputs, x)._replace(x=x, linear=None)
 
 
@@ -94,12 +96,13 @@ def drawn_configurations(
         scenario: Row of each scenario; the same one several times for several rounds.
         round_: Number of the round, or one for each scenario.
     """
-    seed, slides, limits = problem.settings.seed, problem.robot.slides, checker.executor.limits
+    seed, limits = problem.settings.seed, checker.executor.limits
+    periodic = np.asarray(kinematics.is_periodic(problem.robot))
     numbers = problem.scenarios.number[scenario], np.broadcast_to(round_, len(scenario))
     seeds = [[seed, int(number), STREAM + int(of)] for number, of in zip(*numbers, strict=True)]
     return np.array(
         [
-            _sampled_configurations(slides, limits, about, np.random.default_rng(each))
+            _sampled_configurations(periodic, limits, about, np.random.default_rng(each))
             for about, each in zip(_about(problem, scenario), seeds, strict=True)
         ]
     )
@@ -112,19 +115,24 @@ def _about(problem: Problem, scenario: Int[np.ndarray, "n"]) -> Float[np.ndarray
 
 
 def _sampled_configurations(
-    slides: tuple[bool, ...], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
+    periodic: Bool[np.ndarray, "N"], limits: Limits, about: Float[np.ndarray, "N"], rng: np.random.Generator
 ) -> Float[np.ndarray, "DRAWS N"]:
     """Return random configurations within the limits; unlimited joints are sampled within pi [rad or m] of `about`."""
     lower, upper = limits
     ends = np.where(np.isfinite(lower), lower, about - np.pi), np.where(np.isfinite(upper), upper, about + np.pi)
     drawn = rng.uniform(*ends, (DRAWS, len(lower)))
-    turned = drawn - 2 * np.pi * np.where(slides, 0.0, np.rint((drawn - about) / (2 * np.pi)))
+    turned = drawn - 2 * np.pi * np.where(periodic, np.rint((drawn - about) / (2 * np.pi)), 0.0)
     return np.where((turned >= lower) & (turned <= upper), turned, drawn)
 
 
-def _unwound(x: Float[np.ndarray, "n N"], limits: Limits, about: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n N"]:
+def _unwound(
+    x: Float[np.ndarray, "n N"],
+    periodic: Bool[np.ndarray, "N"],
+    limits: Limits,
+    about: Float[np.ndarray, "n N"],
+) -> Float[np.ndarray, "n N"]:
     """Return the configurations with multiples of 2 pi added to unlimited hinges: within pi of `about`."""
-    endless = np.isinf(limits[0]) & np.isinf(limits[1])
+    endless = periodic & np.isinf(limits[0]) & np.isinf(limits[1])
     return np.where(endless, x - 2 * np.pi * np.rint((x - about) / (2 * np.pi)), x) if endless.any() else x
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.device import lane_function, tables
-from htcp_jax.model import Robot, damped_step, kinematics, quaternion_matrix, reanchor, sine_error
+from htcp_jax.model import Robot, damped_step, kinematics, moved_by, quaternion_matrix, reanchor, sine_error
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import CollisionChecker, configurations, lane_inputs, step_functions, tool_cells
 from htcp_jax.numerics import product
@@ -232,4 +232,5 @@ def _angular_velocity(robot: Robot, x):
     """Return the last link's angular velocity per unit velocity of each joint, (3, N)."""
     poses = kinematics.link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
-    return jnp.where(jnp.array(robot.slides)[:, None], 0.0, axes).T
+    turns = moved_by(robot.parents)[robot.tcp_link] & ~np.array(robot.slides)
+    return kinematics.by_coordinates(robot, jnp.where(jnp.array(~turns)[:, None], 0.0, axes).T)

@@ -321,6 +321,8 @@ def description_of(column: str, table: str, joints: Sequence[str]) -> str:
         return f"{texts['start']}: joint {column.removeprefix('start_').rpartition('_')[0]}"
     if column in texts:
         return texts[column]
+    if table == "targets" and column.startswith("q_"):
+        return f"joint {column[2:].rpartition('_')[0]}, which follows another joint; derived from the configuration x"
     for name, key in (("tcp", "tcp"), ("target", "target_xyz"), ("shift", "shift")):
         if key in texts and column == f"{name}_{axis}_m":
             return f"{texts[key]}: {axis}"

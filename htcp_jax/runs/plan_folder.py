@@ -14,6 +14,7 @@ from htcp_jax.io import arrays
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import plans as plan_arrays
+from htcp_jax.runs import tables
 from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.summary import Summary
 from htcp_jax.status import Kind, SegmentStatus, Status
@@ -75,7 +76,7 @@ def write_trajectory_csv(
         InputError: If the file cannot be written.
     """
     statuses = [Status(status).name for status in plans.status[row].tolist()]
-    columns = {"target": range(len(statuses)), "status": statuses, **_joint_columns(robot, plans.x[row])}
+    columns = {"target": range(len(statuses)), "status": statuses, **_configurations(robot, plans.x[row])}
     for name, points in (("tcp", plans.tcp), ("target", plans.target)):
         columns |= {f"{name}_{axis}_m": points[row, :, k] for k, axis in enumerate("xyz")}
     columns |= {
@@ -110,14 +111,12 @@ def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
         InputError: If the file cannot be written.
     """
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
-    _write_csv(file, {"target": motion.target, "kind": kinds, **_joint_columns(robot, motion.x)})
+    _write_csv(file, {"target": motion.target, "kind": kinds, **_configurations(robot, motion.x)})
 
 
-def _joint_columns(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
-    """Return one column per joint, by name, for n configurations."""
-    units = ["m" if slides else "rad" for slides in robot.slides]
-    names = [f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True)]
-    return dict(zip(names, x.T, strict=True))
+def _configurations(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:
+    """Return one column per joint, by name, for n configurations; those of joints that follow others come last."""
+    return dict(zip(tables.joint_columns(robot), x.T, strict=True)) | tables.follower_columns(robot, x)
 
 
 def _write_csv(file: Path, columns: Mapping[str, Iterable]) -> None:

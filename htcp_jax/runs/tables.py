@@ -30,6 +30,7 @@ SEGMENT_STATUSES: dict[str | None, int] = {None: int(SegmentStatus.NOT_CHECKED)}
 }
 EXCLUSIONS: dict[str | None, Exclusion] = {None: Exclusion.NONE} | {x.words: x for x in Exclusion if x}
 XYZ = "xyz"
+FOLLOWER = "q_"  # start of the name of a column of a joint that follows another one
 MANIPULABILITY = "manipulability_m_rad"
 CAUSE = "colliding_body", "colliding_with", "cause"  # columns with the reason why a scenario could not begin
 SHARES = "via_shares"
@@ -41,8 +42,20 @@ LEAST_CELLS = 1_000_000  # scenarios times targets that any file may have; more 
 
 def joint_columns(robot: Robot) -> tuple[str, ...]:
     """Return the names of the columns of the configuration x, one per joint."""
-    units = ["m" if slides else "rad" for slides in robot.slides]
-    return tuple(f"{name}_{unit}" for name, unit in zip(robot.joint_names, units, strict=True))
+    return _with_units(robot.joint_names, robot.sliding)
+
+
+def follower_columns(robot: Robot, x: Float[np.ndarray, "*S N"]) -> dict[str, Float[np.ndarray, "*S"]]:
+    """Return the columns of the joints that follow others, by name, at configurations x [rad or m]."""
+    if robot.coupling is None:
+        return {}
+    own, which = robot.coupling, list(robot.followers)
+    names = _with_units([own.joint_names[j] for j in which], [robot.slides[j] for j in which])
+    return {FOLLOWER + name: own.positions(x)[..., j] for j, name in zip(which, names, strict=True)}
+
+
+def _with_units(names: Sequence[str], slides: Sequence[bool]) -> tuple[str, ...]:
+    return tuple(f"{name}_{'m' if each else 'rad'}" for name, each in zip(names, slides, strict=True))
 
 
 def target_table(
@@ -51,6 +64,7 @@ def target_table(
     plans: Plans,
     joints: Sequence[str],
     manipulability: Float[np.ndarray, "S T"] | None = None,
+    followers: Mapping[str, Float[np.ndarray, "S T"]] = MappingProxyType({}),
 ) -> pa.Table:
     """Return the table of targets for one method, with one row per scenario and target.
 
@@ -60,6 +74,7 @@ def target_table(
         plans: Plans of the scenarios.
         joints: Names of the columns of x, see `joint_columns`.
         manipulability: Manipulability at each target [m/rad]; None if unknown.
+        followers: Columns of joints that follow others, see `follower_columns`.
     """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
@@ -84,6 +99,7 @@ def target_table(
         "recovery": pa.array(plans.recovery[s, t], pa.int8()),
     }
     columns |= {name: _doubles(plans.x[s, t, k]) for k, name in enumerate(joints)}
+    columns |= {name: _doubles(values[s, t]) for name, values in followers.items()}
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
     columns[SHARES] = _via_point_column(plans.via_points, s, t, plans.via_points.share[:, None])

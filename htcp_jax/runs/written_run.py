@@ -20,7 +20,7 @@ from htcp_jax.runs.local import PlannedShard, scenarios_of
 from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
-from htcp_jax.runs.tables import joint_columns, scenario_table, target_table
+from htcp_jax.runs.tables import follower_columns, joint_columns, scenario_table, target_table
 
 
 class SweepProgress(NamedTuple):
@@ -114,8 +114,9 @@ def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.
     joints, points = joint_columns(batch.robot), batch.points[rows]
     varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
+    measured, followers = _manipulability(batch, span, plans), _followers(batch, span, plans)
     return {
-        "targets": target_table(method, numbers, plans, joints, _manipulability(batch, span, plans)),
+        "targets": target_table(method, numbers, plans, joints, measured, followers),
         "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, span, plans)),
     }
 
@@ -129,6 +130,16 @@ def _manipulability(batch: Batch, span: Span, plans: Plans) -> Float[np.ndarray,
         where = s[here], t[here]
         goals, longer = np.asarray(scenarios.goals)[where], np.asarray(scenarios.tool_extension_m)[where[0]]
         found[where] = manipulability.manipulability(own.robot, own.task, plans.x[where], goals, longer)
+    return found
+
+
+def _followers(batch: Batch, span: Span, plans: Plans) -> dict[str, Float[np.ndarray, "S T"]]:
+    """Return the columns of joints that follow others, for a shard's scenarios."""
+    (cell, _), found = scenarios_of(batch, span), follower_columns(batch.robot, plans.x)
+    for number in np.unique(cell).tolist() if found else ():
+        own = follower_columns(batch.cells[number].robot, plans.x[cell == number])
+        for values, others in zip(found.values(), own.values(), strict=True):
+            values[cell == number] = others
     return found
 
 

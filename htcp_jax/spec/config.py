@@ -349,6 +349,8 @@ class ProgramConfig(strict_model.FileSection):
     tool_name: str | None = None  # name of the tool data, for rapid; None: tool<number>
     # for rapid: axes whose value is the sum of their own joint and another joint, such as {joint_3: joint_2}
     coupled: CoupledAxes = ()
+    # joints in programs if joints follow others: commanded, or also those that follow; None: chosen by the format
+    axes: Literal["commanded", "all"] | None = None
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
     groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are in the robot's group

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 
 from htcp_jax.clearance.proof import OUTSIDE_M, arm_points, lever_bounds
 from htcp_jax.device import tables as device_tables
-from htcp_jax.model import Feature, Robot, feature_at, kinematics
+from htcp_jax.model import Feature, Robot, feature_at, kinematics, moved_by
 from htcp_jax.numerics import safe_norm
 
 ROWS = 256  # tables are padded to this number of rows times a power of two, so that few sizes are compiled
@@ -35,12 +35,21 @@ class ArmLevers(NamedTuple):
     The points are both ends of the arm's K bodies, the TCP, and F features of a task, which may be directions.
     """
 
-    levers: Float[np.ndarray, "k P N"]  # distance from each joint's axis [m]; 0 if it does not move the point
-    jacobian: Float[np.ndarray, "k P 3 N"]
+    levers: Float[np.ndarray, "k P J"]  # distance from each joint's axis [m]; 0 if it does not move the point
+    jacobian: Float[np.ndarray, "k P 3 J"]  # by the joints q
     tcp: Float[np.ndarray, "k 3"]  # position in the world [m]
-    hinge: Bool[np.ndarray, "N"]  # True for hinges
-    turning: Float[np.ndarray, "P N"] | float = 0.0  # for the ends of bodies, see `_turning` [m/rad]
+    hinge: Bool[np.ndarray, "J"]  # True for hinges
+    turning: Float[np.ndarray, "P J"] | float = 0.0  # for the ends of bodies, see `_turning` [m/rad]
     features: int = 0  # number of features, F
+    factors: Float[np.ndarray, "J N"] | None = None  # C of q = C x + d; None: no joint follows another
+
+    def joints(self, step: Float[np.ndarray, "*S N"]) -> Float[np.ndarray, "*S J"]:
+        """Return the displacements of the joints q, from those of the coordinates [rad or m]."""
+        return step if self.factors is None else step @ self.factors.T
+
+    def ranges(self, within: Float[np.ndarray, "*S N"]) -> Float[np.ndarray, "*S J"]:
+        """Return bounds |C| d on the distances of the joints q, from those of the coordinates [rad or m]."""
+        return within if self.factors is None else within @ np.abs(self.factors).T
 
     def only(self, which: np.ndarray | slice) -> "ArmLevers":
         """Return the levers at the configurations in `which`."""
@@ -74,20 +83,22 @@ def arm_at(robot: Robot, x: Float[np.ndarray, "k N"], features: tuple[Feature, .
         found = np.linalg.norm(more, axis=2)
         for k, feature in enumerate(features):
             if feature.seen_from is not None:
-                ends = len(robot.slides) - 1 if feature.link is None else feature.link, feature.seen_from.link
-                joints = np.arange(len(robot.slides))
-                found[:, k] = (joints > min(ends)) & (joints <= max(ends)) & ~np.array(robot.slides)
+                ends = robot.tcp_link if feature.link is None else feature.link, feature.seen_from.link
+                first, second = moved_by(robot.parents)[list(ends)]
+                found[:, k] = (first ^ second) & ~np.array(robot.slides)
         levers = np.concatenate([levers, found], axis=1)
         slopes = np.concatenate([slopes, more], axis=1)
-    return ArmLevers(levers, slopes, tcp, ~np.array(robot.slides), _turning(robot, len(features)), len(features))
+    hinge, turning = ~np.array(robot.slides), _turning(robot, len(features))
+    factors = None if robot.coupling is None else np.asarray(robot.coupling.factors)
+    return ArmLevers(levers, slopes, tcp, hinge, turning, len(features), factors)
 
 
-def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P N"] | float:
+def _turning(robot: Robot, features: int) -> Float[np.ndarray, "P J"] | float:
     """Return a bound on the motion of a convex piece's points about its capsule's axis, by hinge angle [m/rad]."""
     if robot.pieces is None:
         return 0.0
     reach = np.where(np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + OUTSIDE_M, 0.0)
-    moves = np.arange(len(robot.slides))[None] <= np.array(robot.capsule_link)[:, None]
+    moves = moved_by(robot.parents)[np.array(robot.capsule_link)]
     bodies = reach[:, None] * (moves & ~np.array(robot.slides))
     return np.concatenate([bodies, bodies, np.zeros((1 + features, len(robot.slides)))])
 
@@ -104,9 +115,10 @@ def displacement_bound(
 
     Args:
         arm: The arm at k configurations.
-        within: Distances of the joints from these configurations [rad or m].
-        displacement: Displacements of the joints [rad or m].
+        within: Distances of the coordinates from these configurations [rad or m].
+        displacement: Displacements of the coordinates [rad or m].
     """
+    within, displacement = arm.ranges(within), arm.joints(displacement)
     size = np.abs(displacement)
     lever = _levers(arm, within + size)
     along = np.linalg.norm(np.einsum("kpcn,...kn->...kpc", arm.jacobian, displacement), axis=-1)
@@ -121,10 +133,11 @@ def bend_bound(
 
     Args:
         arm: The arm at k configurations.
-        within: Distances of the joints from these configurations [rad or m].
-        rates: Derivatives of the joints along the paths [rad or m].
+        within: Distances of the coordinates from these configurations [rad or m].
+        rates: Derivatives of the coordinates along the paths [rad or m].
     """
-    return _second(arm, _levers(arm, within), np.abs(rates), np.abs(rates))
+    own = np.abs(arm.joints(rates))
+    return _second(arm, _levers(arm, arm.ranges(within)), own, own)
 
 
 def _levers(arm: ArmLevers, within: np.ndarray) -> np.ndarray:
@@ -153,7 +166,7 @@ def in_padded_sizes(function: Callable, robot: Robot, *tables: Float[np.ndarray,
 @partial(jax.vmap, in_axes=(None, 0))
 def _point_slopes(robot: Robot, x):
     points, links = arm_points(robot, x)
-    slopes = kinematics.point_jacobians(robot, x, points, links)
+    slopes = kinematics.by_joint(robot, x, points, links)
     return safe_norm(slopes.swapaxes(1, 2)), slopes, points[-1]
 
 
@@ -166,4 +179,5 @@ def _tcp_and_jacobian(robot: Robot, x):
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, None, 0))
 def _features(features: tuple[Feature, ...], robot: Robot, x):
-    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(x) for feature in features]),)
+    robot, q = kinematics.with_free_joints(robot), kinematics.joint_positions(robot, x)
+    return (jnp.stack([jax.jacfwd(partial(feature_at, robot, feature=feature))(q) for feature in features]),)

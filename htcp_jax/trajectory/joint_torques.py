@@ -26,6 +26,7 @@ from htcp_jax.io.robots import (
     massive_bodies,
     read_model,
 )
+from htcp_jax.model import Coupling
 from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -70,18 +71,27 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     return model
 
 
-def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[..., Float[np.ndarray, "n N"]]:
+def torques(
+    model: mujoco.MjModel, locked: Collection[str] = (), coupling: Coupling | None = None
+) -> Callable[..., Float[np.ndarray, "n N"]]:
     """Return a function of configurations, velocities and accelerations (n, N) that returns joint torques [N m or N].
+
+    The torque at a coordinate is C^T times those at the joints that it moves.
 
     Args:
         model: The arm's model from `model_of`.
         locked: Names of the joints that do not move.
+        coupling: The arm's joints that follow others; None: no joint does.
     """
     with contextlib.redirect_stdout(None):  # importing MJX prints messages about missing packages
         from mujoco import mjx
     device = mjx.put_model(model)
     fixed = [j for j in range(model.njnt) if joint_name(model, j) in locked]
-    joints = np.array(chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
+    if coupling is None:
+        joints = np.array(chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
+    else:
+        names = [joint_name(model, j) for j in range(model.njnt)]
+        joints = np.array([names.index(name) for name in coupling.joint_names])
     still = np.array([model.qpos0, np.zeros(model.nv), np.zeros(model.nv)])
     blank = mjx.make_data(device)
 
@@ -93,6 +103,8 @@ def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[...
         return inertial + device.dof_armature * a - mjx.passive(device, data).qfrc_passive
 
     def found(x: Float[np.ndarray, "n N"], v: Float[np.ndarray, "n N"], a: Float[np.ndarray, "n N"]) -> np.ndarray:
+        if coupling is not None:
+            x, v, a = coupling.positions(x), coupling.rates(v), coupling.rates(a)
         torque = np.empty_like(x)
         with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks
             for first in range(0, len(x), AT_ONCE):
@@ -100,7 +112,7 @@ def torques(model: mujoco.MjModel, locked: Collection[str] = ()) -> Callable[...
                 for k, part in enumerate((x, v, a)):
                     own[k][:, joints] = np.resize(part[first : first + AT_ONCE], (AT_ONCE, x.shape[1]))
                 torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first, joints]
-        return torque
+        return torque if coupling is None else torque @ np.asarray(coupling.factors)
 
     return found
 

@@ -81,8 +81,23 @@ def own_rates(robot: Robot, stated: JointLimits | None) -> dict[str, Float[np.nd
     model["jerk"] = np.full(len(robot.joint_names), np.inf)
     if stated is None:
         return model
-    rates = {kind: stated.rates(kind) for kind in RATES}
-    return {kind: np.where(np.isnan(own), model[kind], own) for kind, own in rates.items()}
+    return {kind: rates_or(robot, stated.rates(kind), model[kind]) for kind in RATES}
+
+
+def rates_or(robot: Robot, stated: Float[np.ndarray, "J"], otherwise: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+    """Return limits of the coordinates from those stated for the joints [rad or m, per s, s2 or s3].
+
+    Args:
+        robot: The arm.
+        stated: Limits of the joints; NaN for joints without one.
+        otherwise: Limits of the coordinates that also apply where one of their joints has no stated limit.
+    """
+    if robot.coupling is None:
+        return np.where(np.isnan(stated), otherwise, stated)
+    size = np.abs(np.asarray(robot.coupling.factors))
+    limits = np.where(size > 0, stated[:, None] / np.where(size > 0, size, 1.0), np.inf)
+    found = np.fmin.reduce(limits, axis=0, initial=np.inf)
+    return np.where(np.isnan(limits).any(axis=0), np.minimum(found, otherwise), found)
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
@@ -99,9 +114,7 @@ def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np
     if values is None:
         return None
     if len(values) != len(robot.joint_names):
-        raise InputError(
-            f"{key} has {len(values)} values, but the robot {robot.name} has {len(robot.joint_names)} joints"
-        )
+        raise InputError(f"{key} has {len(values)} values, but the robot {robot.name} has {robot.counted_joints}")
     return np.array(values)
 
 

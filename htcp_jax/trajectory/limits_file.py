@@ -6,11 +6,11 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
-from htcp_jax.model import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.motion import Motion, motion
 from htcp_jax.spec import PlanConfig
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.limits import own_rates
+from htcp_jax.trajectory.limits import own_rates, rates_or
 
 
 def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
@@ -24,7 +24,7 @@ def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
         InputError: See `read_joint_limits`.
     """
     file = job.robot.limits_file
-    return None if file is None else read_joint_limits(file, robot.joint_names, robot.name)
+    return None if file is None else read_joint_limits(file, robot.all_joint_names, robot.name)
 
 
 def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | None = None) -> list[str]:
@@ -48,7 +48,7 @@ def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | No
         given = stated.rates(kind)
         if np.isnan(given).all():
             continue
-        values = np.where(np.isnan(given), own[kind], given)
+        values = rates_or(robot, given, own[kind])
         for name in (name for name, value in zip(robot.joint_names, values, strict=True) if not np.isfinite(value)):
             raise InputError(f"{stated.file}: max_{kind} of joint {name} is missing here and in the model")
         found.append(f"program.{kind}=[{', '.join(map(repr, values.tolist()))}]")
@@ -67,22 +67,28 @@ def check_ranges(stated: JointLimits, robot: Robot, moved: Motion | motion.Motio
     Raises:
         InputError: If a joint is outside its range; the message has the joint that is farthest outside.
     """
-    lower, upper = stated.ranges(robot.slides, np.asarray(robot.lower, float), np.asarray(robot.upper, float))
+    own, x = (np.asarray(robot.lower, float), np.asarray(robot.upper, float)), moved.x
+    if robot.coupling is not None:
+        farthest = kinematics.joint_travel(robot)
+        own, x = (-farthest, farthest), robot.coupling.positions(x)
+    lower, upper = stated.ranges(robot.slides, *own)
     lower = np.where([own.lower is None for own in stated.stated], -np.inf, lower)
     upper = np.where([own.upper is None for own in stated.stated], np.inf, upper)
-    excess = np.maximum(lower - moved.x, moved.x - upper)
+    excess = np.maximum(lower - x, x - upper)
     if excess.max(initial=0.0) <= LIMIT_ROUNDING:
         return
     row, joint = map(int, np.unravel_index(excess.argmax(), excess.shape))
-    value, limit = moved.x[row, joint], (lower if moved.x[row, joint] < lower[joint] else upper)[joint]
+    value, limit = x[row, joint], (lower if x[row, joint] < lower[joint] else upper)[joint]
     digits = 3 if f"{value:.3g}" != f"{limit:.3g}" else 8
-    others = [each for k, each in enumerate(robot.joint_names) if k != joint and excess[:, k].max() > LIMIT_ROUNDING]
+    others = [
+        each for k, each in enumerate(robot.all_joint_names) if k != joint and excess[:, k].max() > LIMIT_ROUNDING
+    ]
     also = f" ({', '.join(others)} beyond, too)" if others else ""
     scenario = f" of scenario {moved.scenario[row]}" if isinstance(moved, motion.Motions) else ""
     raise InputError(
-        f"{name}: joint {robot.joint_names[joint]} reaches {value:.{digits}g} {'m' if robot.slides[joint] else 'rad'} "
-        f"{_place(moved, row)}{scenario}, {stated.file} allows {limit:g}{also}; set "
-        f"robot.limits to {Path(stated.file).name} in the job, and plan again"
+        f"{name}: joint {robot.all_joint_names[joint]} reaches {value:.{digits}g} "
+        f"{'m' if robot.slides[joint] else 'rad'} {_place(moved, row)}{scenario}, {stated.file} allows {limit:g}"
+        f"{also}; set robot.limits to {Path(stated.file).name} in the job, and plan again"
     )
 
 

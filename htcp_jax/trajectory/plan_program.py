@@ -16,7 +16,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import joints_in_file
 from htcp_jax.jobs import build
-from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import Robot, joints_between, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
@@ -79,10 +79,33 @@ class PlanProgram(NamedTuple):
         if own is None and step_s is not None:
             raise InputError(f"{format} contains only the configurations of the motion; omit the time step")
         if own is None:
-            return self.program.at_configurations()
+            return self._with_axes(format, self.program.at_configurations())
         if format == "urscript":
             own = self.job.program.control_step_s
-        return self.program.timed(own if step_s is None else step_s)
+        return self._with_axes(format, self.program.timed(own if step_s is None else step_s))
+
+    def _axes(self, format: str) -> str:
+        """Return the joints that a format contains: `commanded`, or `all`.
+
+        Raises:
+            InputError: If the job requests joints that the format does not support.
+        """
+        valid, requested = format_of(format).axes, self.job.program.axes
+        if self.robot.coupling is None or requested is None:
+            return valid[0]
+        if requested not in valid:
+            raise InputError(f"{format} does not support program.axes: {requested}; valid: {', '.join(valid)}")
+        return requested
+
+    def _with_axes(self, format: str, timed: TimedMotion) -> TimedMotion:
+        """Return the samples with the joints that follow others, after all others, if the format contains them."""
+        if (own := self.robot.coupling) is None or self._axes(format) == "commanded":
+            return timed
+        rows = list(self.robot.followers)
+        states = {"x": own.positions(timed.x), "velocity": own.rates(timed.velocity)}
+        states["acceleration"] = own.rates(timed.acceleration)
+        more = {name: np.hstack([getattr(timed, name), every[:, rows]]) for name, every in states.items()}
+        return timed._replace(**more, joint_names=(*timed.joint_names, *(own.joint_names[j] for j in rows)))
 
     @property
     def peak_torque(self) -> PeakTorque | None:
@@ -90,7 +113,9 @@ class PlanProgram(NamedTuple):
         if (model := model_of(self.job.robot, self.job.tree)) is None:
             return None
         timed = self.program.timed(TORQUES_EVERY_S)
-        torque = torques(model, dict(self.job.robot.locked))(timed.x, timed.velocity, timed.acceleration)
+        torque = torques(model, dict(self.job.robot.locked), self.robot.coupling)(
+            timed.x, timed.velocity, timed.acceleration
+        )
         return peak_torque(timed, torque, np.asarray(self.robot.effort))
 
     def controller(self, format: str, name: str, timed: TimedMotion) -> ControllerData:
@@ -113,10 +138,13 @@ class PlanProgram(NamedTuple):
         if self.robot.part_moves and format_of(format).by_group and groups is None:
             raise InputError(f"{format}: the part moves; set program.groups to the joints of robot, base and station")
         requested, speed = self.job.program, np.asarray(self.robot.speed, float)
-        source, locked = self.job.tree or self.job.robot.file, dict(self.job.robot.locked)
+        source, followers = self.job.tree or self.job.robot.file, self.robot.followers
+        in_file = (
+            joints_in_file(source, timed.joint_names, dict(self.job.robot.locked)) if format == "keyframes" else None
+        )
         return ControllerData(
             name.upper() if format.startswith("jbi") else name,
-            self.robot.slides,
+            (*self.robot.sliding, *(self.robot.slides[j] for j in followers))[: len(timed.joint_names)],
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
             tool_name=requested.tool_name,
@@ -126,8 +154,8 @@ class PlanProgram(NamedTuple):
             pulses=self._pulses(),
             groups=groups,
             control_step_s=requested.control_step_s,
-            in_file=joints_in_file(source, tuple(locked)) if self.robot.part_moves or locked else None,
-            locked=locked,
+            in_file=in_file and in_file.order,
+            locked=in_file.locked if in_file else dict(self.job.robot.locked),
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:
@@ -142,7 +170,7 @@ class PlanProgram(NamedTuple):
     def _planned_tcp(self) -> PlannedTcp:
         """Return the TCP relative to the flange if the job mounts a tool, else relative to the last joint's frame."""
         if (tool := self.job.robot.tool) is None:
-            return PlannedTcp(self.robot.joint_names[-1], np.asarray(self.robot.T_link_tcp, float))
+            return PlannedTcp(self.robot.all_joint_names[self.robot.tcp_link], np.asarray(self.robot.T_link_tcp, float))
         longer = tools.pose((0.0, 0.0, self.job.robot.tool_extension_m), (0.0, 0.0, 0.0))
         return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
 
@@ -152,17 +180,35 @@ class PlanProgram(NamedTuple):
             raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
         for axis, joint in requested:
             if wrong := [name for name in (axis, joint) if name not in own]:
-                raise InputError(f"program.coupled: {wrong[0]!r} is not a joint; valid: {', '.join(own)}")
+                raise InputError(f"program.coupled: {self._not_commanded(wrong[0])}")
             if axis == joint:
                 raise InputError(f"program.coupled: {axis!r} is coupled with itself; give the joint that moves it")
+            if between := self._followers_between(joint, axis):
+                raise InputError(
+                    f"program.coupled: the arm's model has this coupling: {between} follows {joint}; remove the key"
+                )
         return tuple((own.index(axis), own.index(joint)) for axis, joint in requested)
+
+    def _not_commanded(self, name: str) -> str:
+        """Return the reason why a name is not one of a joint that is commanded, for messages."""
+        what = "follows another joint" if name in self.robot.all_joint_names else "is not a joint"
+        return f"{name!r} {what}; valid: {', '.join(self.robot.joint_names)}"
+
+    def _followers_between(self, first: str, last: str) -> str:
+        """Return the names of the joints that follow the joint `first` between it and the joint `last`."""
+        names = self.robot.all_joint_names
+        if self.robot.coupling is None or not {first, last} <= {*names}:
+            return ""
+        between, _ = joints_between(self.robot.parents, names.index(last), names.index(first))
+        with_first = np.asarray(self.robot.coupling.factors)[:, self.robot.joint_names.index(first)] != 0
+        return ", ".join(names[j] for j in between if j in self.robot.followers and with_first[j])
 
     def _groups(self) -> JointGroups | None:
         if (requested := self.job.program.groups) is None:
             return None
         own, named = self.robot.joint_names, [*requested.robot, *requested.base, *requested.station]
         if wrong := [name for name in named if name not in own]:
-            raise InputError(f"program.groups: {wrong[0]!r} is not a joint; valid: {', '.join(own)}")
+            raise InputError(f"program.groups: {self._not_commanded(wrong[0])}")
         if odd := [name for name in own if named.count(name) != 1]:
             raise InputError(
                 f"program.groups has {odd[0]!r} {named.count(odd[0])} times; each joint must be in one group"

@@ -228,7 +228,7 @@ class _Timer:
 
     def _torques(self, job: PlanConfig) -> Callable:
         key, locked = build.robot_key(job), dict(job.robot.locked)
-        return self._once("torques", key, lambda: torques(self._model(job), locked))
+        return self._once("torques", key, lambda: torques(self._model(job), locked, self.arm(job).coupling))
 
     def _model(self, job: PlanConfig) -> mujoco.MjModel | None:
         """Return the model of a job's arm with its inertias; None if a link has no inertia."""

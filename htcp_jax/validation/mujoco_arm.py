@@ -23,6 +23,7 @@ from htcp_jax.spec import Tool, is_limits_file, model_source
 from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
 from htcp_jax.validation.convex_hull import Hull, hull_in_capsule, read_hulls
+from htcp_jax.validation.following import Following
 
 PROBE_M = 1e-9  # radius of the sphere that represents a point; `distances` adds it
 FAR_M = 1e3  # cut-off of MuJoCo's distances
@@ -93,10 +94,15 @@ class MujocoArm:
         fixed = {_joint_name(self._model, j): j for j in range(self._model.njnt)}
         fixed = {fixed[name]: value for name, value in self._locked.items()}
         self._data.qpos[list(fixed)] = list(fixed.values())
-        self._order = _joint_order(self._model, self.root, fixed)
+        moving = _joint_order(self._model, self.root, fixed)
+        follow = Following.of(self._model, self._data, moving, fixed)
+        self._order, self._follow = follow.free, follow
+        carrier = int(self._model.site_bodyid[self._site])
+        self._moves = _moves(self._model, self.root, follow.moving)
+        chain = follow.moving[self._moves[carrier]]
         if tool_extension_m:
-            own = _joints_to(self._model, self.root, self._order) if self.root else None
-            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, int(self._order[-1]), own)
+            own = _link_numbers(self._moves, carrier) if self.root else None
+            moved = _lengthen(self._model, self._site, self._geoms, tool_extension_m, int(chain[-1]), own)
             self.hulls = tuple(
                 None if g in moved else hull for g, hull in zip(self._geoms.tolist(), self.hulls, strict=True)
             )
@@ -105,19 +111,22 @@ class MujocoArm:
         self._half = np.where(self._model.geom_type[self._geoms] == _CAPSULE, self._model.geom_size[self._geoms, 1], 0)
         self.length = 2 * self._half
         self.joints = tuple(_joint_name(self._model, j) for j in self._order.tolist())
-        self.lower, self.upper = (limit[self._order] for limit in _limits_of_profile(self._model, limits))
+        lower, upper = (limit[follow.moving] for limit in _limits_of_profile(self._model, limits))
         if is_limits_file(limits):
-            slides = (self._model.jnt_type[self._order] != _HINGE).tolist()
-            stated = read_joint_limits(limits, self.joints, model_source.label_of(path).name)
-            self.lower, self.upper = stated.ranges(slides, self.lower, self.upper)
-        self.speed = _numeric(self._model, "speed", math.inf)[self._order]
+            slides = (self._model.jnt_type[follow.moving] != _HINGE).tolist()
+            names = tuple(_joint_name(self._model, j) for j in follow.moving.tolist())
+            stated = read_joint_limits(limits, names, model_source.label_of(path).name)
+            lower, upper = stated.ranges(slides, lower, upper)
+        self.lower, self.upper = follow.limits(lower, upper)
+        self.speed = follow.speeds(_numeric(self._model, "speed", math.inf)[follow.moving])
         self._pose(np.zeros(len(self._order)))
-        self._joints_to = _joints_to(self._model, self.root, self._order)
-        joints = self._joints_to[self._model.geom_bodyid[self._geoms]]
-        self.links = joints  # number of each capsule's link; 0: fixed to the world or the part
+        self._link_numbers = _link_numbers(self._moves, carrier)
+        # number of each capsule's link; 0: fixed to the world or the part
+        self.links = links = self._link_numbers[self._model.geom_bodyid[self._geoms]]
         ends = self._ends()
-        self.base = np.vstack([self._data.xanchor[self._order[:1]], *ends[:, joints == 0]])  # fixed points, world [m]
-        away = np.where(joints == joints.max(), np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
+        self.base = np.vstack([self._data.xanchor[chain[:1]], *ends[:, links == 0]])  # fixed points, world [m]
+        last = links[links <= len(chain)].max()
+        away = np.where(links == last, np.linalg.norm(ends - self._data.site_xpos[self._site], axis=2), np.inf)
         self._tip = np.unravel_index(away.argmin(), away.shape)
 
     @property
@@ -155,7 +164,8 @@ class MujocoArm:
     @property
     def _within_model(self) -> bool:
         """True if no joint limit is wider than in the model."""
-        lower, upper = (limit[self._order] for limit in _limits_of_profile(self._model, "model"))
+        limits = (limit[self._follow.moving] for limit in _limits_of_profile(self._model, "model"))
+        lower, upper = self._follow.limits(*limits)
         return not ((self.lower < lower).any() or (self.upper > upper).any())
 
     @cached_property
@@ -176,11 +186,16 @@ class MujocoArm:
 
     def adjacent(self, pair: tuple[int, int]) -> bool:
         """Return True if exactly one joint lies between the capsules of a pair."""
-        return bool(self.links[pair[0]] == self.links[pair[1]] + 1)
+        return len(self._joints_between(pair)) == 1
 
     def slides(self, pair: tuple[int, int]) -> bool:
         """Return True if the capsules of a pair are adjacent and the joint between them is prismatic."""
-        return self.adjacent(pair) and self._model.jnt_type[self._order[self.links[pair[0]] - 1]] != _HINGE
+        between = self._joints_between(pair)
+        return len(between) == 1 and bool(self._model.jnt_type[between[0]] != _HINGE)
+
+    def _joints_between(self, pair: tuple[int, int]) -> Int[np.ndarray, "n"]:
+        first, second = self._moves[self._model.geom_bodyid[self._geoms[list(pair)]]]
+        return self._follow.moving[first != second]
 
     def same_links(self, pair: tuple[int, int], other: tuple[int, int]) -> bool:
         """Return True if two pairs of capsules belong to the same two links."""
@@ -216,12 +231,12 @@ class MujocoArm:
         return ArmPoses(tcp, *ends, axes)
 
     def link_of(self, name: str) -> int:
-        """Return the number of joints from the world (or a moving part) to a named site or body, or to the world."""
+        """Return the number of the link of a named site or body, or of the world; 0 for the world or a moving part."""
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, name)
         if site < 0 and body < 0:
             raise InputError(f"no site or body {name!r} in the model")
-        return int(self._joints_to[self._model.site_bodyid[site] if site >= 0 else body])
+        return int(self._link_numbers[self._model.site_bodyid[site] if site >= 0 else body])
 
     def frames(
         self, x: Float[np.ndarray, "n N"], name: str, tip: bool = True
@@ -276,7 +291,7 @@ class MujocoArm:
 
     def _pose(self, x: Float[np.ndarray, "N"]) -> None:
         data = self._data
-        data.qpos[self._order] = x
+        data.qpos[self._follow.moving] = self._follow.positions(x)
         mujoco.mj_kinematics(self._model, data)
         if self.root:  # transform to the part's frame
             origin, rotation = data.xpos[self.root].copy(), data.xmat[self.root].reshape(3, 3).copy()
@@ -410,7 +425,7 @@ def _joint_name(model: mujoco.MjModel, j: int) -> str:
 
 
 def _joint_order(model: mujoco.MjModel, root: int, fixed: Collection[int]) -> np.ndarray:
-    """Return the joints in the order from the part to the TCP, without locked joints.
+    """Return the joints in the order from the part to the TCP, without locked joints but with those that follow others.
 
     The joints that move the part's link come first, in reverse order, followed by the others.
     """
@@ -419,10 +434,23 @@ def _joint_order(model: mujoco.MjModel, root: int, fixed: Collection[int]) -> np
     return np.array([*own[::-1], *(j for j in free if j not in own)], int)
 
 
-def _joints_to(model: mujoco.MjModel, root: int, order: np.ndarray) -> np.ndarray:
-    """Return the number of joints between the part's link and each body, that is, joints that move only one of them."""
-    moving = [np.isin(model.jnt_bodyid[order], list(_upwards(model, body))) for body in (root, *range(model.nbody))]
-    return np.array([(moving[0] != own).sum() for own in moving[1:]])
+def _moves(model: mujoco.MjModel, root: int, joints: np.ndarray) -> Bool[np.ndarray, "B n"]:
+    """Return True for joints between the part's link and each body, that is, joints that move only one of them."""
+    moving = [np.isin(model.jnt_bodyid[joints], list(_upwards(model, body))) for body in (root, *range(model.nbody))]
+    return np.array([moving[0] != own for own in moving[1:]])
+
+
+def _link_numbers(moves: Bool[np.ndarray, "B n"], carrier: int) -> Int[np.ndarray, "B"]:
+    """Return the number of each body's link: of joints to it on the chain to the body `carrier`, then of side branches.
+
+    Args:
+        moves: The joints that move each body, see `_moves`.
+        carrier: The body of the TCP.
+    """
+    side = np.unique(moves[(moves & ~moves[carrier]).any(axis=1)], axis=0)
+    order = {own.tobytes(): k for k, own in enumerate(side[np.argsort(side.sum(axis=1), kind="stable")])}
+    first = moves[carrier].sum() + 1
+    return np.array([first + order[own.tobytes()] if own.tobytes() in order else own.sum() for own in moves])
 
 
 def _joints_below(model: mujoco.MjModel, body: int) -> int:

@@ -76,7 +76,7 @@ class GivenObstacle(Obstacle):
         is_checked = jnp.asarray(links >= 0)
         if not len(first):
             return is_checked
-        drawn = bodies_at(robot, where, jnp.zeros(len(robot.slides)))
+        drawn = bodies_at(robot, where, jnp.zeros(robot.dof))
         at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p[first], drawn.q[first])
         return is_checked.at[first].set(at_zero > robot.capsule_radius[first])
 

@@ -187,7 +187,7 @@ def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) ->
             if touch_m > robots.TOUCHING_M:
                 reason = f"the meshes in {pair} overlap by {1e3 * touch_m:.3g} mm"
                 return RefusedPair(each.first, each.second, touch_m, reason)
-        elif each.rule in "ab" and link[each.first] > link[each.second] + 1 and d > max(usual, 0.0):
+        elif each.rule in "ab" and robot.parents[link[each.first]] != link[each.second] and d > max(usual, 0.0):
             reason = f"{pair} overlap by {1e3 * d:.3g} mm, more than in {USUAL:.0%} of random configurations"
             return RefusedPair(each.first, each.second, float(d), reason)
     return None

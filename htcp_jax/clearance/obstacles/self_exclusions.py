@@ -52,7 +52,7 @@ def samples(robot: Robot) -> Samples:
 
     Hinges without limits are sampled from -pi to pi, slides without limits from -SLIDE_M to SLIDE_M.
     """
-    free = np.where(robot.slides, SLIDE_M, np.pi)
+    free = np.where(robot.sliding, SLIDE_M, np.pi)
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     lower, upper = np.where(np.isfinite(lower), lower, -free), np.where(np.isfinite(upper), upper, free)
     return np.random.default_rng(SEED).uniform(lower, upper, (SAMPLES, len(lower)))
@@ -119,7 +119,7 @@ def find_exclusions(
 
 def _adjacent(robot: Robot, pair: tuple[int, int]) -> bool:
     first, second = (robot.capsule_link[k] for k in pair)
-    return first == second + 1
+    return first >= 0 and robot.parents[first] == second
 
 
 def _telescopes(

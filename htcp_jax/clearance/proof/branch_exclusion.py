@@ -8,6 +8,7 @@ rho, the wrist is in a ball, and in each branch every joint is in an interval (d
 These intervals bound the motion of all bodies in the branch, and are compared with the joint limits.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -73,8 +74,11 @@ class Interval(NamedTuple):
 
 
 def has_branches(robot: Robot) -> bool:
-    """Return True if the arm has an elbow and a spherical wrist, as this module requires."""
+    """Return True if the arm has an elbow, a spherical wrist and no followers in its chain, as this module requires."""
+    robot = exclusion.chain_of(robot)
     if len(robot.slides) != JOINTS or any(robot.slides) or not exclusion.has_wrist(robot):
+        return False
+    if (own := robot.coupling) and (robot.dof != JOINTS or (own.factors != np.eye(JOINTS)).any() or own.offsets.any()):
         return False
     return float(_SKEW(robot)) <= SKEW
 
@@ -173,7 +177,8 @@ def branch_collides(
         use: The bodies that the proof may use, see `Bodies`.
     """
     target, quaternion, rho = cell
-    robot, tool, tolerance_m = scene.robot, quaternion_matrix(quaternion), scene.task.tolerance_m
+    robot = dataclasses.replace(exclusion.chain_of(scene.robot), coupling=None)
+    tool, tolerance_m = quaternion_matrix(quaternion), scene.task.tolerance_m
     own = branch(robot, target, tool, rho, number, tolerance_m)
     arm = _on_arm(robot, own, _wrist_ball(robot, target, tool, rho, tolerance_m), use)
     of_tool = _on_tool(robot, own, target, tool, rho, tolerance_m, use)
@@ -279,7 +284,7 @@ def _on_arm(robot: Robot, own: Branch, ball: tuple[Vector3, Scalar], use: Int[Ar
     links = np.tile(all_links[here], 2)
     wrist, ends = exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p[here], robot.capsule_q[here]])
     at = kinematics.point_positions(robot, own.x, jnp.concatenate([wrist[None], ends]), (3, *links.tolist()))
-    moves = point_motion_bound(robot, own.x, own.turns, at[1:], jnp.asarray(links))
+    moves = point_motion_bound(robot, own.x, own.turns, at[1:], links)
     centre, radius = ball
     turned = 2 * jnp.sin(0.5 * jnp.minimum(jnp.stack([own.forearm_turns, own.turns[3]]), jnp.pi))
     off = jnp.where(links == 3, seen_from(robot.axis[3], ends)[1], 0.0)

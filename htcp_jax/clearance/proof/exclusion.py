@@ -17,6 +17,7 @@ kind meets a ball of the other kind, among the cells that are not proven to coll
 configuration. Limits of the last three joints are ignored.
 """
 
+import dataclasses
 from enum import IntEnum
 from functools import partial
 from typing import NamedTuple
@@ -31,7 +32,7 @@ from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import product, safe_divide, safe_norm
-from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 UNUSED_M = 1e6  # displacement of bodies that a proof does not use, so that they never certainly touch anything
 PIECES = 3  # pieces per capsule: a piece near the tip moves less than the complete capsule
@@ -45,6 +46,28 @@ class Bodies(IntEnum):
     TOOL = 1  # bodies of the last link
     WRIST = 2  # in addition, bodies of the link before the last
     ARM = 3  # in addition, bodies of all links up to the wrist
+
+
+def chain_of(robot: Robot) -> Robot:
+    """Return the robot without its side branches, whose bodies a proof does not use."""
+    count, coupling = robot.tcp_link + 1, robot.coupling
+    if coupling is None:
+        return robot
+    kept = np.flatnonzero(np.array(robot.capsule_link, int) < count)
+    bodies = {name: getattr(robot, name)[kept] for name in ("capsule_p", "capsule_q", "capsule_radius", "on_tool")}
+    own = {"factors": coupling.factors[:count], "offsets": coupling.offsets[:count]}
+    own |= {name: getattr(coupling, name)[:count] for name in ("joint_names", "parents")}
+    return dataclasses.replace(
+        robot,
+        **bodies,
+        T_parent_joint=robot.T_parent_joint[:count],
+        axis=robot.axis[:count],
+        slides=robot.slides[:count],
+        capsule_link=tuple(robot.capsule_link[k] for k in kept),
+        capsule_names=tuple(robot.capsule_names[k] for k in kept),
+        pieces=jax.tree.map(lambda each: each[kept], robot.pieces),
+        coupling=dataclasses.replace(coupling, **own),
+    )
 
 
 class ToolCell(NamedTuple):
@@ -80,7 +103,7 @@ def tool_collides(
         cell: The tool's poses in the cell.
         bodies: The bodies that the proof may use, see `Bodies`.
     """
-    R, own = quaternion_matrix(cell.quaternion), _about_tip(scene.robot, bodies)
+    R, own = quaternion_matrix(cell.quaternion), _about_tip(chain_of(scene.robot), bodies)
     farthest = jnp.maximum(safe_norm(own.p), safe_norm(own.q))
     moves = own.moves + 2 * farthest * jnp.sin(0.5 * jnp.minimum(cell.rho, jnp.pi)) + scene.task.tolerance_m
     target = cell.target[None]
@@ -154,12 +177,22 @@ class CellBounds(NamedTuple):
 def has_wrist(robot: Robot) -> bool:
     """Return True if the arm has a spherical wrist, and all its slides have limits.
 
-    In a spherical wrist the last three joints are hinges whose axes meet in a point.
+    In a spherical wrist the last three joints of the chain are hinges whose axes meet in a point.
     """
-    if len(robot.slides) <= WRIST or any(robot.slides[-WRIST:]):
+    chain = chain_of(robot)
+    if len(chain.slides) <= WRIST or any(chain.slides[-WRIST:]):
         return False
-    endless = np.array(robot.slides) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
-    return not endless.any() and float(_MISSED_M(robot)) <= 0.1 * ROUNDING_M
+    endless = ~np.asarray(kinematics.is_periodic(robot)) & ~np.isfinite(np.asarray(robot.upper - robot.lower))
+    free = np.asarray(before_wrist(robot))
+    return free.any() and not (endless & free).any() and float(_MISSED_M(robot)) <= 0.1 * ROUNDING_M
+
+
+def before_wrist(robot: Robot) -> Bool[Anywhere, "N"]:
+    """Return True for coordinates that move a joint before the wrist."""
+    first = robot.tcp_link + 1 - WRIST
+    if robot.coupling is None:
+        return jnp.arange(len(robot.slides)) < first
+    return (robot.coupling.factors[:first] != 0).any(axis=0)
 
 
 def wrist(robot: Robot) -> Wrist:
@@ -167,6 +200,7 @@ def wrist(robot: Robot) -> Wrist:
 
     `missed_m` is infinite for an arm with fewer than three joints.
     """
+    robot = chain_of(robot)
     if len(robot.slides) < WRIST:
         return Wrist(jnp.zeros(3), jnp.zeros(3), jnp.asarray(jnp.inf))
     first, second, third = robot.axis[-WRIST:]
@@ -218,18 +252,17 @@ def arm_cell(
         scene: The scene.
         where: A scenario; its margin is required.
         target: The target, world [m].
-        x: Middle of the cell [rad or m]; the values of the last three joints are ignored.
-        turns: Largest distance of every joint from x [rad or m]; values of the last three joints are ignored.
+        x: Middle of the cell [rad or m]; the values of joints that move only the wrist are ignored.
+        turns: Largest distance of every joint from x [rad or m]; such values are ignored here too.
         use: The bodies that the proof may use, see `Bodies`.
     """
-    robot, tool = scene.robot, wrist(scene.robot)
-    first = len(robot.slides) - WRIST
-    free = jnp.arange(len(robot.slides)) < first
+    robot, tool = chain_of(scene.robot), wrist(scene.robot)
+    first, free = len(robot.slides) - WRIST, before_wrist(robot)
     x, turns = jnp.where(free, x, 0.0), jnp.where(free, turns, 0.0)
     p, q, radius, aside, links = _before_wrist(robot)
     own, body = (tool.on_arm[None], p, q), (first, *links, *links)
     at = kinematics.point_positions(robot, x, jnp.concatenate(own), body)
-    moves = point_motion_bound(robot, x, turns, at, jnp.array(body)) + ROUNDING_M
+    moves = point_motion_bound(robot, x, turns, at, np.array(body)) + ROUNDING_M
     length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
     (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)

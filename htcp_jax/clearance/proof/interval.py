@@ -23,8 +23,8 @@ from htcp_jax.clearance.obstacles.obstacle import (
     bodies_at,
 )
 from htcp_jax.clearance.proof.known_rows import KnownRows, free_radii
-from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, body_sweep, travel_bound
-from htcp_jax.model import Robot
+from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, body_sweep, pair_travel_bound, travel_bound
+from htcp_jax.model import Robot, kinematics, moved_by
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 
@@ -84,7 +84,7 @@ def on_interval(
     clear = []
     for each, own, own_rows, travel in zip(obstacles, free_radius, rows, travels, strict=True):
         if robot.pieces is not None:  # a distance up to the limit may be that of a piece
-            own_turn = piece_turn_bound(robot, own_rows, half * jnp.abs(rates))
+            own_turn = piece_turn_bound(robot, own_rows, half * jnp.abs(kinematics.joint_rates(robot, rates)))
             travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
         by_travel = own - travel
         clear.append(
@@ -120,7 +120,7 @@ def _closer(
     return jnp.where(needed, by_sweep, by_travel)
 
 
-def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array, "R"]:
+def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> Float[Array, "R"]:
     """Return bounds on the displacement that rotation adds to points of the rows' pieces [m].
 
     A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not symmetric: its
@@ -129,12 +129,11 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array
     Args:
         robot: The robot, with pieces.
         rows: Both sides of each row; displacements are relative to the other side's link.
-        turns: Largest distance of every joint from the middle [rad or m].
+        turns: Largest distance of every joint q from the middle [rad or m].
     """
     hinge, body = ~np.array(robot.slides), np.array(rows.body)
-    links, others = np.array(robot.capsule_link)[body], np.array(rows.other)
-    joints = np.arange(len(hinge))[None]
-    between = hinge[None] & (joints <= links[:, None]) & (joints > others[:, None])
+    moves = moved_by(robot.parents)
+    between = hinge[None] & (moves[np.array(robot.capsule_link)[body]] ^ moves[np.array(rows.other)])
     angle = jnp.sum(jnp.where(between, turns[None], 0.0), axis=1)
     reach = jnp.where(robot.pieces.excess_m > 0, robot.capsule_radius + OUTSIDE_M, 0.0)[body]
     return reach * jnp.minimum(angle, 2.0)
@@ -143,7 +142,7 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Joints) -> Float[Array
 def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
     """Return a bound on the displacement of each row's body relative to the link on the row's other side [m].
 
-    This link is nearer to the base, so only the joints between both links move the body, see `travel_bound`.
+    Only the joints between both links move the body, see `travel_bound`.
 
     Args:
         robot: The robot.
@@ -153,8 +152,10 @@ def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, hal
         half: Largest |s|.
 
     Raises:
-        ValueError: If a row's body does not lie after the link on its other side, in the chain.
+        ValueError: If a row's body does not lie after the link on its other side, in an arm that is one chain.
     """
+    if robot.coupling is not None:
+        return pair_travel_bound(robot, rows, x, rates, half)
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("each row's body must lie after the link on the row's other side, in the chain")
     seen_from = sorted(set(rows.other))

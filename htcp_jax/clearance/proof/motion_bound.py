@@ -21,7 +21,11 @@ The column of a slide has length 1. It does not depend on the slide, and rotates
 
 This bound is small if joints cancel each other's motion, as they do near a tool that hardly moves.
 
-Relative to a link nearer to the base, a body is moved only by the joints between both links.
+Relative to another link, a body is moved only by the joints between both links. If the links are on different
+branches, these joints form one chain too: from that link back to the branching, and on to the body.
+
+If joints follow others, t = C x' for the joints on a straight path, so that opposite followers cancel, and d = |C| d_x
+if the coordinates vary within d_x.
 """
 
 from typing import NamedTuple
@@ -31,7 +35,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.distance.sweep import BodySweep
-from htcp_jax.model import Robot, kinematics
+from htcp_jax.clearance.obstacles.obstacle import RowPairs
+from htcp_jax.model import Robot, joints_between, kinematics
 from htcp_jax.numerics import safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -67,7 +72,7 @@ def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
 
 
 def point_motion_bound(
-    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
 ) -> Float[Array, "P"]:
     """Return `motion_bound` for points that are fixed to links.
 
@@ -78,7 +83,8 @@ def point_motion_bound(
         points: The points at x, world [m].
         links: Each point's link, -1 for the world.
     """
-    return _bounds(robot, x, jnp.zeros_like(x), turns, points, links).moved
+    ranges = kinematics.joint_ranges(robot, turns)
+    return _bounds(robot, x, jnp.zeros_like(ranges), ranges, points, links).moved
 
 
 def body_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> BodySweep:
@@ -91,6 +97,10 @@ def body_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> BodySwee
         half: Largest |s|.
     """
     within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
+    return _swept(within, half)
+
+
+def _swept(within: _Bounds, half: Scalar) -> BodySweep:
     off = 0.5 * half * half * within.bend
     along = half * safe_norm(within.velocity) + off
     travel = jnp.minimum(_larger(along), _larger(within.moved))
@@ -125,38 +135,56 @@ def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[
     return body_sweep(robot, x, rates, half).travel
 
 
+def pair_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+    """Return a bound [m] on the displacement of each row's body from x, seen from the row's other side.
+
+    Args:
+        robot: The robot.
+        rows: Both sides of each row.
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
+    """
+    body, other = np.array(rows.body), np.tile(rows.other, 2)
+    ends = jnp.concatenate([end[body] for end in kinematics.capsule_segments(robot, x)])
+    links = np.tile(np.array(robot.capsule_link)[body], 2)
+    own = kinematics.joint_rates(robot, rates)
+    return _swept(_bounds(robot, x, own, half * jnp.abs(own), ends, links, other), half).travel
+
+
 def point_bend_bound(
-    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+    robot: Robot, x: Joints, rates: Joints, half: Scalar, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
 ) -> Float[Array, "P"]:
     """Return a bound [m] on the second derivative |p''| of points fixed to links, on a straight joint path.
 
     Args:
         robot: The robot.
-        x: The configuration [rad or m].
-        rates: The path's derivative x' [rad or m].
-        turns: Largest distance of every joint from x [rad or m].
+        x: The middle of the path x + s `rates` [rad or m].
+        rates: Its derivative in s [rad or m].
+        half: Largest |s|.
         points: The points at x, world [m].
         links: Each point's link, -1 for the world.
     """
-    return _bounds(robot, x, rates, turns, points, links).bend
+    own = kinematics.joint_rates(robot, rates)
+    return _bounds(robot, x, own, half * jnp.abs(own), points, links).bend
 
 
 @jax.jit
 def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
     """Return the ends of the bodies' axes and, last, the TCP, with their bounds; one function, compiled once."""
-    points, links = arm_points(robot, x)
-    return points, _bounds(robot, x, rates, half * jnp.abs(rates), points, links)
+    (points, links), own = arm_points(robot, x), kinematics.joint_rates(robot, rates)
+    return points, _bounds(robot, x, own, half * jnp.abs(own), points, links)
 
 
-def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Array, "P"]]:
+def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[np.ndarray, "P"]]:
     """Return the ends of the bodies' axes and, last, the TCP at x, world [m], and the link of each."""
     ends, links = _axis_ends(robot, kinematics.capsule_segments(robot, x))
-    return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), jnp.append(links, len(robot.slides) - 1)
+    return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), np.append(links, robot.tcp_link)
 
 
 def _axis_ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
     """Return both ends of every body's axis [m], first all p, then all q, and their links."""
-    return jnp.concatenate(segments), jnp.tile(jnp.asarray(robot.capsule_link), 2)
+    return jnp.concatenate(segments), np.tile(np.array(robot.capsule_link, int), 2)
 
 
 def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
@@ -165,17 +193,50 @@ def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
 
 
 def _bounds(
-    robot: Robot, x: Joints, rates: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Array, "P"]
+    robot: Robot,
+    x: Joints,
+    rates: Float[Array, "J"],
+    turns: Float[Array, "J"],
+    points: Float[Array, "P 3"],
+    links: Int[np.ndarray, "P"],
+    others: Int[np.ndarray, "P"] | None = None,
 ) -> _Bounds:
-    """Return bounds for points at x [m]: every joint stays within `turns` of x, and moves at `rates` [rad or m]."""
-    columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
-    speeds, hinge, bend = jnp.abs(rates), ~np.array(robot.slides), jnp.zeros(len(points))
-    own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
-    lever, moved = lever_bounds(own, turns, hinge)
+    """Return bounds for points at x [m]: every joint q stays within `turns` of its value, and moves at `rates`.
+
+    The motion is seen from the world, or from the links `others`.
+    """
+    hinge = ~np.array(robot.slides)
+    if robot.coupling is None:
+        columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
+        own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
+        return _bounds_of_chain(columns, own, rates, turns, hinge)
+    columns, parts, rows = kinematics.by_joint(robot, x, points, None).swapaxes(1, 2), [], []
+    pairs = np.stack([links, np.full_like(links, -1) if others is None else others], axis=1)
+    for pair in np.unique(pairs, axis=0):
+        rows.append(np.flatnonzero((pairs == pair).all(axis=1)))
+        joints, signs = joints_between(robot.parents, *pair.tolist())
+        chain = np.array(joints, int)
+        own = columns[rows[-1]][:, chain]
+        levers = jnp.where(hinge[chain][None], safe_norm(own), 1.0)
+        parts.append(_bounds_of_chain(own, levers, rates[chain] * np.array(signs), turns[chain], hinge[chain]))
+    order = np.argsort(np.concatenate(rows))
+    return jax.tree.map(lambda *each: jnp.concatenate(each)[order], *parts)
+
+
+def _bounds_of_chain(
+    columns: Float[Array, "P n 3"],
+    levers: Float[Array, "P n"],
+    rates: Float[Array, "n"],
+    turns: Float[Array, "n"],
+    hinge: Bool[np.ndarray, "n"],
+) -> _Bounds:
+    """Return the bounds for P points by the n joints of a chain, from their velocities per unit speed of each joint."""
+    speeds, bend = jnp.abs(rates), jnp.zeros(len(columns))
+    lever, moved = lever_bounds(levers, turns, hinge)
     for j in reversed(range(len(hinge))):
         turned = 2 * jnp.sum(speeds[:j], where=hinge[:j])
         bend = bend + speeds[j] * lever[j] * (turned + (speeds[j] if hinge[j] else 0.0))
-    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)
+    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), jnp.broadcast_to(moved, bend.shape), bend)
 
 
 def lever_bounds(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
-from htcp_jax.model import Feature, FeatureMotion, Region, Robot, Row, RowSlack, Task, TaskPoint, feature_at
+from htcp_jax.model import Feature, FeatureMotion, Region, Robot, Row, RowSlack, Task, TaskPoint, feature_at, kinematics
 from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
 
 IN_TUBE = TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
@@ -78,13 +78,14 @@ class _FeatureSweep(FeatureMotion):
 
     @property
     def turning(self) -> Scalar:
-        """Sum of the hinges' |rates| [rad]."""
-        return jnp.sum(jnp.where(np.array(self.robot.slides), 0.0, jnp.abs(self.rates)))
+        """Sum of the chain's hinges' |rates| [rad]."""
+        rates, chain = kinematics.joint_rates(self.robot, self.rates), slice(self.robot.tcp_link + 1)
+        return jnp.sum(jnp.where(np.array(self.robot.slides)[chain], 0.0, jnp.abs(rates[chain])))
 
     @property
     def fastest(self) -> Scalar:
         """Largest |rate| of a joint [rad or m]."""
-        return jnp.max(jnp.abs(self.rates))
+        return jnp.max(jnp.abs(kinematics.joint_rates(self.robot, self.rates)))
 
     def moving(self, k: int) -> tuple[Vector3, Vector3]:
         """Return the position or direction of feature number k at x, and its derivative in s."""
@@ -93,9 +94,8 @@ class _FeatureSweep(FeatureMotion):
     def bend(self, k: int) -> Scalar:
         """Return a bound on the second derivative in s of feature number k, a point [m]."""
         feature, (point, _) = self.features[k], self.moving(k)
-        link = len(self.robot.slides) - 1 if feature.link is None else feature.link
-        moves = self.half * jnp.abs(self.rates)
-        return point_bend_bound(self.robot, self.x, self.rates, moves, point[None], jnp.array([link]))[0]
+        link = self.robot.tcp_link if feature.link is None else feature.link
+        return point_bend_bound(self.robot, self.x, self.rates, self.half, point[None], np.array([link]))[0]
 
     def velocity(self, function: Callable) -> tuple[Array, Array]:
         """Return the value of a function of the features' vectors at x, and its derivative in s."""

@@ -6,7 +6,7 @@ from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
 from .link_meshes import LinkMeshes
 from .loading import gp50, load_robot, part_moves
-from .mjcf import Listed, arm_xml, fixed_text, shapes_label
+from .mjcf import Listed, arm_xml, fixed_text, follower_text, shapes_label
 from .model_file import joints_in_file
 from .mujoco_models import body_name, compile_spec, delete_all, joint_name, massive_bodies
 from .safe_xml import model_files
@@ -31,6 +31,7 @@ __all__ = [
     "delete_all",
     "fix_joints",
     "fixed_text",
+    "follower_text",
     "gp50",
     "import_robot",
     "joint_name",

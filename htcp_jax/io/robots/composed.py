@@ -15,7 +15,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.mujoco_models import compile_unchecked, delete_all, joint_name, no_log, set_massless
-from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART, read_spec
+from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, OMITTED, PART, read_spec
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS
 from htcp_jax.spec import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, split_name
 from htcp_jax.types import Triple
@@ -177,14 +177,16 @@ def _rename(tree: mujoco.MjSpec, part: _Part) -> None:
             pair.bodyname2 = pair.bodyname2.removeprefix(prefix)
     for each in named:
         each.name = each.name.removeprefix(prefix)
-    for each in tree.equalities:  # joints that follow others
-        each.name1, each.name2 = each.name1.removeprefix(prefix), each.name2.removeprefix(prefix)
+    for each in tree.equalities:
+        if each.objtype == mujoco.mjtObj.mjOBJ_JOINT or part.placed.key == ROBOT:
+            each.name1, each.name2 = each.name1.removeprefix(prefix), each.name2.removeprefix(prefix)
 
 
 def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
     """Add the texts, numerics and tuples of all models, with their names in the tree."""
     number, joints = 0, [joint.name for joint in tree.joints]
     values: dict[str, dict[str, float]] = {}
+    omitted: list[str] = []
     for part in parts:
         prefix, own = part.prefix, [joint_name(part.model, j) for j in range(part.model.njnt)]
         for each in [*part.spec.texts, *part.spec.numerics]:
@@ -193,6 +195,8 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
                 _add_alike(tree, each, head + owner if head == remarks.ON_JOINT else head + prefix + owner)
             elif each.name in PER_JOINT:
                 values.setdefault(each.name, {}).update(zip(own, each.data, strict=True))
+            elif each.name == OMITTED:
+                omitted += [prefix + name for name in each.data.split(", ")]
             elif each.name == MADE_FROM:
                 tree.add_text(name=prefix + MADE_FROM, data=str(part.placed.file.resolve().parent / each.data))
             elif each.name == LIST:
@@ -208,6 +212,8 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
                 objname=[prefix + name for name in names],
                 objprm=numbers,
             )
+    if omitted:
+        tree.add_text(name=OMITTED, data=", ".join(omitted))
     for name, known in values.items():
         complete = all(joint in known for joint in joints)
         if complete or not name.startswith("datasheet"):

@@ -1,34 +1,114 @@
-"""Constraints between the joints or bodies of an MJCF file, which are not planned, as remarks on them."""
+"""Constraints of an MJCF file's <equality> that close loops of bodies, or couple joints by tendons.
 
+They are not planned: a constraint that a moving joint takes part in is refused, unless all links that only it moves
+have no capsules.
+"""
+
+import warnings
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
+import mujoco
+import numpy as np
+
+from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
+from htcp_jax.io.robots.mujoco_models import body_name, joints_of, upwards
 
-CLOSING = "connect", "weld"
-
-
-def joint_remarks(root: Element) -> dict[str, list[str]]:
-    """Return remarks on the joints that a <joint> in <equality> couples to another one or holds, by their names."""
-    found: dict[str, list[str]] = {}
-    for each in _active(root, ("joint",)):
-        other = each.get("joint2")
-        value = (each.get("polycoef", "0").split() or ["0"])[0]
-        said = remarks.HELD + value if other is None else remarks.COUPLED + other
-        found.setdefault(each.get("joint1", ""), []).append(said)
-    return found
+_TAGS = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-def body_remarks(root: Element) -> dict[str, list[str]]:
-    """Return remarks on the bodies that a <connect> or <weld> ties to another one, by their names."""
+def tendon_remarks(root: Element) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return remarks on the joints, and on the bodies, that a <tendon> in <equality> couples, by their names."""
     body_of = {site.get("name"): body.get("name", "") for body in root.iter("body") for site in body.findall("site")}
-    found: dict[str, list[str]] = {}
-    for each in _active(root, CLOSING):
-        ends = [each.get(f"body{k}") or body_of.get(each.get(f"site{k}")) or "world" for k in (1, 2)]
-        for name in ends:
-            found.setdefault(name, []).append(f"<{each.tag}> of {' and '.join(ends)}")
+    tendons = {each.get("name"): each for section in root.findall("tendon") for each in section}
+    joints: dict[str, list[str]] = {}
+    bodies: dict[str, list[str]] = {}
+    for each in [row for equality in root.findall("equality") for row in equality.findall("tendon")]:
+        for name in (each.get("tendon1"), each.get("tendon2")) if each.get("active", "true") != "false" else ():
+            for part in tendons.get(name, ()):
+                owner, found = (
+                    (part.get("joint"), joints) if part.tag == "joint" else (body_of.get(part.get("site")), bodies)
+                )
+                if owner:
+                    found.setdefault(owner, []).append(remarks.TENDON + str(name))
+    return joints, bodies
+
+
+class _Tie(NamedTuple):
+    """A <connect> or <weld> of two bodies."""
+
+    tag: str
+    bodies: tuple[int, int]
+
+
+def _ties(model: mujoco.MjModel) -> list[_Tie]:
+    """Return the active ties of a model."""
+    found = []
+    for k in np.flatnonzero(np.isin(model.eq_type, list(_TAGS)) & (model.eq_active0 > 0)):
+        ends = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
+            ends = int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
+        found.append(_Tie(_TAGS[int(model.eq_type[k])], ends))
     return found
 
 
-def _active(root: Element, tags: tuple[str, ...]) -> list[Element]:
-    rows = [each for equality in root.findall("equality") for each in equality if each.tag in tags]
-    return [each for each in rows if each.get("active", "true") != "false"]
+def check_loops(
+    model: mujoco.MjModel, path: Path, links: Sequence[int], passive: Collection[int] = (), shaped: Collection[int] = ()
+) -> set[int]:
+    """Check that no <connect> or <weld> ties two links that move against each other.
+
+    A tie with a body that is not the robot's, such as one that a mouse moves, is a warning.
+
+    Args:
+        model: The compiled model.
+        path: Its file, for messages.
+        links: The link of each body; -1: the chain's root.
+        passive: Joints that are frozen, but that a tie may move.
+        shaped: Bodies with capsules.
+
+    Returns:
+        The passive joints that ties move.
+
+    Raises:
+        InputError: For such a tie, unless no capsules are on the links between it and the passive joints.
+    """
+    moved: set[int] = set()
+    ignored = []
+    for tie in _ties(model):
+        text = f"<{tie.tag}> of {' and '.join('world' if b == 0 else body_name(model, b) for b in tie.bodies)}"
+        if links[tie.bodies[0]] == links[tie.bodies[1]]:
+            continue
+        if any(_is_foreign(model, b) for b in tie.bodies):
+            ignored.append(text)
+            continue
+        loose = [j for body in tie.bodies for b in upwards(model, body) for j in joints_of(model, b) if j in passive]
+        named = moved_bodies(model, loose, shaped)
+        if not loose or named:
+            remedy = (
+                f"exclude the links that it moves with {omit_text(model, named)}" if loose else 'write active="false"'
+            )
+            raise InputError(f"{path}: {text} in <equality> closes a loop, which is not supported; {remedy}")
+        moved.update(loose)
+    if ignored:
+        warnings.warn(f"{path}: ignored in <equality>: {remarks.listed(ignored)}", stacklevel=4)
+    return moved
+
+
+def moved_bodies(model: mujoco.MjModel, joints: Collection[int], among: Collection[int]) -> list[int]:
+    """Return the bodies, of those in `among`, that one of the joints moves."""
+    return [b for b in among if any(j in joints for above in upwards(model, b) for j in joints_of(model, above))]
+
+
+def omit_text(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
+    """Format the options that exclude the shapes of bodies."""
+    return " ".join(f"--omit {body_name(model, b)}" for b in bodies)
+
+
+def _is_foreign(model: mujoco.MjModel, body: int) -> bool:
+    line = list(upwards(model, body))
+    free = any(model.jnt_type[j] == _FREE for b in line for j in joints_of(model, b))
+    return free or any(model.body_mocapid[b] >= 0 for b in line)

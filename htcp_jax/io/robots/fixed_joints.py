@@ -1,25 +1,23 @@
 """Freezing of a model's joints at given values: the joint's motion is added to the body's pose in its parent."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots.followers import followers
 from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
 from htcp_jax.io.robots.mujoco_models import joint_name
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_FOLLOWS = int(mujoco.mjtEq.mjEQ_JOINT)
 _UNITS = {_HINGE: "rad", _SLIDE: "m"}
+ROUNDING = 1e-6  # difference between a stated value of a follower and the one that its master gives [rad or m]
 
 
 def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], where: str = "") -> dict[int, float]:
-    """Freeze hinges and slides of a compiled model in place.
-
-    A joint that follows a frozen joint, by <mimic> in a URDF or <equality> in MJCF, is frozen at the value that
-    follows, unless `values` contains it.
+    """Freeze hinges and slides of a compiled model in place, and the joints that follow them or are held.
 
     Args:
         model: The compiled model, which is modified.
@@ -31,7 +29,8 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], w
         Values of the frozen joints, by their indices in the model [rad or m].
 
     Raises:
-        InputError: For an unknown joint, and for a value beyond the joint's limits.
+        InputError: For an unknown joint, a value beyond the joint's limits, a joint that follows another one, unless
+            its value is the one that its master's gives, and for followers that `followers` refuses.
     """
     known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
     for name, value in values.items():
@@ -43,48 +42,44 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], w
         if model.jnt_limited[j] and not lower <= value <= upper:
             limits = f"{lower:g} to {upper:g} {_UNITS[int(model.jnt_type[j])]}"
             raise InputError(f"{path}: {where}{name}={value:g} is outside the joint's limits, {limits}")
-    given = {known[name]: float(value) for name, value in values.items()}
-    fixed = {j: value for one in given for j, value in _followers(model, one, given[one])} | given
+    fixed = {known[name]: float(value) for name, value in values.items()}
+    for j, follower in followers(model, path).items():
+        value = None
+        if follower.is_held or follower.master in fixed:
+            value = follower.at(fixed.get(follower.master, 0.0))
+        if j in fixed and (value is None or abs(value - fixed[j]) > ROUNDING):
+            rule = "is held" if follower.master < 0 else f"follows {joint_name(model, follower.master)}"
+            remedy = "freeze that joint instead" if value is None else f"it is at {value:.6g}"
+            raise InputError(f"{path}: {where}{joint_name(model, j)}={fixed[j]:g}: this joint {rule}; {remedy}")
+        if value is not None:
+            fixed[j] = value
     for j in sorted(fixed):
         _fix(model, j, fixed[j])
     return fixed
 
 
-def followers(model: mujoco.MjModel) -> dict[int, int]:
-    """Return the joint that each following joint follows; keys and values are indices in the model."""
-    rows = np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_active0 > 0))
-    return {int(model.eq_obj1id[k]): int(model.eq_obj2id[k]) for k in rows if model.eq_obj2id[k] >= 0}
-
-
-def fix_followers(model: mujoco.MjModel, joints: Collection[int], known: Mapping[int, float]) -> dict[int, float]:
+def fix_followers(
+    model: mujoco.MjModel, path: Path, joints: Collection[int], known: Mapping[int, float]
+) -> dict[int, float]:
     """Freeze the joints among `joints` that follow another one and are not at zero while it is, in place.
 
     Args:
         model: The compiled model, which is modified.
+        path: Its file, for messages.
         joints: Indices of joints that do not move, without those in `known`.
         known: Values of joints that are frozen already [rad or m], by index.
 
     Returns:
         Values of the frozen joints that differ from the initial configuration's, by index [rad or m].
     """
-    drawn_at, pairs = model.qpos0[model.jnt_qposadr], followers(model)
+    drawn_at, pairs = model.qpos0[model.jnt_qposadr], followers(model, path)
     values = dict(enumerate(drawn_at.tolist())) | dict(known)
-    for _ in pairs:  # one that follows a follower is moved, too
-        for leader in dict.fromkeys(pairs.values()):
-            values |= dict(_followers(model, leader, values[leader])) | dict(known)
+    for j, follower in pairs.items():
+        values[j] = known[j] if j in known else follower.at(values.get(follower.master, 0.0))
     fixed = {j: values[j] for j in sorted(joints) if j in pairs and values[j] != drawn_at[j]}
     for j, value in fixed.items():
         _fix(model, j, value)
     return fixed
-
-
-def _followers(model: mujoco.MjModel, joint: int, value: float) -> Iterator[tuple[int, float]]:
-    """Yield the joints that follow a joint, with their values if that joint has the given value."""
-    moved = value - model.qpos0[model.jnt_qposadr[joint]]
-    for k in np.flatnonzero((model.eq_type == _FOLLOWS) & (model.eq_obj2id == joint)):
-        follower = int(model.eq_obj1id[k])
-        drawn_at = model.qpos0[model.jnt_qposadr[follower]]
-        yield follower, float(drawn_at + np.polynomial.polynomial.polyval(moved, model.eq_data[k, :5]))
 
 
 def _fix(model: mujoco.MjModel, joint: int, value: float) -> None:

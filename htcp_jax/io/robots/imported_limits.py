@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import Note
 from htcp_jax.io.robots import remarks
+from htcp_jax.io.robots.chain import JointMap
 from htcp_jax.io.robots.composed import PER_JOINT
 from htcp_jax.io.robots.joint_limits import read_joint_limits
 from htcp_jax.io.robots.mujoco_models import has_numeric, joint_name, joint_numbers, model_name
@@ -18,19 +19,21 @@ Numbers = dict[str, Float[np.ndarray, "J"]]  # values of PER_JOINT for all joint
 
 
 def limits_of(
-    model: mujoco.MjModel, path: Path, joints: Sequence[int], file: Path | None
-) -> tuple[Float[np.ndarray, "N 2"], Numbers]:
-    """Return the ranges of joints on the chain [rad or m], and the values of PER_JOINT of all joints.
+    model: mujoco.MjModel, path: Path, mapped: JointMap, file: Path | None
+) -> tuple[Float[np.ndarray, "J 2"], Numbers]:
+    """Return the ranges of moving joints [rad or m], and the values of PER_JOINT of all joints.
 
     Args:
         model: The compiled model.
         path: Its file, for messages.
-        joints: Indices of the N joints.
+        mapped: The J joints.
         file: File with joint limits, see `read_joint_limits`; None: the model's limits apply.
 
     Raises:
-        InputError: For a file that cannot be read, and for joints without a range.
+        InputError: For a file that cannot be read, for joints without a range, followers excepted, and if no range of a
+            joint satisfies its own limits and those of its followers.
     """
+    joints = mapped.joints
     numbers = {name: joint_numbers(model, path, name) for name in PER_JOINT if has_numeric(model, name)}
     at, ranges = list(joints), remarks.own_ranges(model, joints)
     if file is not None:
@@ -45,19 +48,20 @@ def limits_of(
             if not np.isnan(rates).all():
                 values = numbers.setdefault(name, np.full(model.njnt, np.inf))
                 values[at] = np.where(np.isnan(rates), values[at], rates)
-    remarks.check_ranges(model, path, joints, ranges, remarks.OF_IMPORT)
+    lower, upper = mapped.limits(model, path, ranges)[:2]
+    remarks.check_ranges(model, path, mapped.free, np.stack([lower, upper], axis=1), remarks.OF_IMPORT)
     return ranges, numbers
 
 
 def write_ranges(
-    model: mujoco.MjModel, path: Path, joints: Sequence[int], ranges: Float[np.ndarray, "N 2"], numbers: Numbers
+    model: mujoco.MjModel, path: Path, joints: Sequence[int], ranges: Float[np.ndarray, "J 2"], numbers: Numbers
 ) -> None:
     """Note what was assumed about the limits of joints, and write their ranges into the model.
 
     Args:
         model: The compiled model, which is modified.
         path: Its file, for messages.
-        joints: Indices of the N joints.
+        joints: Indices of the J joints.
         ranges: Their ranges [rad or m].
         numbers: Values of PER_JOINT.
     """

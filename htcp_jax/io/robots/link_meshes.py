@@ -5,6 +5,7 @@ J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and 
 
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import fcl
@@ -14,12 +15,12 @@ from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
-from htcp_jax.io.robots.chain import Chain, chain_of_file, link_frames
+from htcp_jax.io.robots.chain import Chain, JointMap, chain_of_file, link_frames
 from htcp_jax.io.robots.close_fit import mesh_object, point_distance_m
 from htcp_jax.io.robots.composed import read_model
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import NONE_LOCKED
-from htcp_jax.io.robots.mujoco_models import compile_spec, delete_all
+from htcp_jax.io.robots.mujoco_models import compile_spec, delete_all, joint_name, model_name
 from htcp_jax.io.robots.safe_xml import CUTS, MADE_FROM
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
@@ -60,6 +61,7 @@ class LinkMeshes:
 
     def __init__(self, model: mujoco.MjModel, chain: Chain, held: Mapping[str, tuple[int, Triangles | Capsule]]):
         self._model, self._chain = model, chain
+        self._mapped = JointMap.of(model, Path(model_name(model)), chain)
         self._addresses = model.jnt_qposadr[list(chain.joints)].tolist()
         self.names = frozenset(held)  # of the capsules
         self._parts = {name: _capsule_part(*each) for name, each in held.items()}
@@ -116,7 +118,7 @@ class LinkMeshes:
         """
         model, data = self._model, data or mujoco.MjData(self._model)
         found = Poses(np.empty((len(x), model.nbody, 3, 3)), np.empty((len(x), model.nbody, 3)))
-        for k, row in enumerate(x):
+        for k, row in enumerate(self._mapped.positions(x)):
             data.qpos[self._addresses] = row
             mujoco.mj_kinematics(model, data)
             found.rotation[k], found.position[k] = data.xmat.reshape(-1, 3, 3), data.xpos
@@ -204,7 +206,9 @@ class LinkMeshes:
         if root := self._chain.root:
             seen = at.rotation[0, root] @ point + at.position[0, root]
         else:
-            T_model_joint = link_frames(self._model, np.eye(4), self._chain)[0][0]
+            first = robot.joint_names if robot.coupling is None else robot.coupling.joint_names
+            k = [joint_name(self._model, j) for j in self._chain.joints].index(first[0])
+            T_model_joint = link_frames(self._model, np.eye(4), self._chain).T_parent_joint[k]
             T_world_model = np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint)
             seen = np.linalg.solve(T_world_model, [*point, 1.0])[:3]
         return max(0.0, point_distance_m(self._placed(name, at, 0), seen))

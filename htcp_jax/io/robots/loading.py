@@ -11,7 +11,7 @@ from htcp_jax.io.robots.chain import FEWEST_JOINTS
 from htcp_jax.io.robots.link_meshes import MeshesInFile
 from htcp_jax.io.robots.model_file import NONE_LOCKED, read_robot_file
 from htcp_jax.io.robots.safe_xml import PART, read_spec
-from htcp_jax.model import Robot, robot
+from htcp_jax.model import Coupling, Robot, robot
 from htcp_jax.spec import GP50, ROBOT, ComposedModel, Tool
 from htcp_jax.spec import tool as tools
 from htcp_jax.types import Triple
@@ -51,7 +51,7 @@ def load_robot(
 
     Raises:
         InputError: For a file that cannot be read, an unknown joint or a value beyond its limits in `locked`, too few
-            joints, ball or free joints, joints that follow others, a URDF's joint without a range, joints off the
+            joints, ball or free joints, couplings that are not linear, a URDF's joint without a range, joints off the
             chain, a missing TCP, a model without capsules, a radius that is not positive, a number that is not finite,
             a profile of limits that the model lacks, a file of limits that `read_joint_limits` refuses or whose ranges
             are not plausible for the arm, and a body of the tool with the name of a body in the model; if the part
@@ -63,7 +63,12 @@ def load_robot(
     has_list = fields.facts["listed"] or fields.facts["listed_together"]
     file = source if isinstance(source, ComposedModel) else source.resolve()
     meshes = MeshesInFile(file, tuple(locked.items())) if has_list else None
-    return Robot(**jax.device_put(fields.arrays), **fields.facts, pieces=jax.device_put(fields.pieces()), meshes=meshes)
+    coupling = None
+    if fields.coupling is not None:
+        arrays = jax.device_put({name: fields.coupling[name] for name in ("factors", "offsets")})
+        coupling = Coupling(**fields.coupling | arrays)
+    made = {"pieces": jax.device_put(fields.pieces()), "coupling": coupling, "meshes": meshes}
+    return Robot(**jax.device_put(fields.arrays), **fields.facts, **made)
 
 
 def part_moves(path: Path | ComposedModel) -> bool:

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from htcp_jax.io.robots.capsule_fit import Capsule
+from htcp_jax.io.robots.followers import equation
 from htcp_jax.io.robots.link_meshes import VISUAL, cuts_text
 from htcp_jax.io.robots.model_file import EXCLUDED
-from htcp_jax.io.robots.mujoco_models import body_name, excluded_bodies
-from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, PART
+from htcp_jax.io.robots.mujoco_models import body_name, excluded_bodies, joint_name
+from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, OMITTED, PART
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm
 
@@ -24,6 +25,12 @@ HEAD = """
 """
 PART_HEAD = """
     The link that carries the part: workpieces are posed in its frame. The joints from it to the TCP are the robot's.
+    """
+OMITTED_HEAD = """
+    Links whose shapes were excluded although they move as no link of this file does, or as one without capsules.
+    """
+FOLLOWERS_HEAD = """
+    Joints that follow others: q = ref + c0 + c1 (q2 - ref2).
     """
 LIST_HEAD = """
     Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
@@ -58,6 +65,9 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
     SubElement(root, "compiler", angle="radian", autolimits="true", **light)
     SubElement(SubElement(root, "option"), "flag", contact="disable")
     custom = SubElement(root, "custom")
+    if arm.omitted:
+        custom.append(_comment(OMITTED_HEAD))
+        SubElement(custom, "text", name=OMITTED, data=", ".join(arm.omitted))
     if arm.part is not None:
         custom.append(_comment(PART_HEAD))
         SubElement(custom, "text", name=PART, data=arm.part)
@@ -75,6 +85,7 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
     mujoco.mju_mat2Quat(turn, arm.tip.T_body_tcp[:3, :3].ravel())
     SubElement(elements[arm.tip.body], "site", name="tcp", **_pose_attributes(position, turn))
     _add_exclusions(root, arm)
+    _add_followers(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -82,6 +93,12 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
 def fixed_text(arm: ImportedArm) -> tuple[str, ...]:
     """Format the joints that are frozen at given values: ("torso=0.2", ...)."""
     return tuple(f"{name}={value:.6g}" for name, value in arm.fixed.items())
+
+
+def follower_text(arm: ImportedArm) -> tuple[str, ...]:
+    """Format the joints that follow others: ("a5b = -0.5 a5 + 0.1", ...)."""
+    names = {j: (joint_name(arm.model, j), joint_name(arm.model, each.master)) for j, each in arm.followers.items()}
+    return tuple(equation(*names[j], each.factor, each.offset) for j, each in arm.followers.items())
 
 
 def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
@@ -94,9 +111,9 @@ def _body_element(parent: Element, arm: ImportedArm, b: int) -> Element:
         SubElement(
             body, "inertial", pos=_numbers_text(model.body_ipos[b]), quat=_numbers_text(model.body_iquat[b]), **inertia
         )
-    for j, name in sorted(zip(arm.chain.joints, arm.joint_names, strict=True)):
+    for j in sorted(arm.chain.joints):
         if model.jnt_bodyid[j] == b:
-            SubElement(body, "joint", name=name, **_joint(model, j))
+            SubElement(body, "joint", name=joint_name(model, j), **_joint(model, j))
     return body
 
 
@@ -135,6 +152,19 @@ def _add_exclusions(root: Element, arm: ImportedArm) -> None:
         contact = SubElement(root, "contact")
         for one, other in pairs:
             SubElement(contact, "exclude", body1=one, body2=other)
+
+
+def _add_followers(root: Element, arm: ImportedArm) -> None:
+    """Add the joints that follow others."""
+    if not arm.followers:
+        return
+    equality = SubElement(root, "equality")
+    equality.append(_comment(FOLLOWERS_HEAD))
+    for j, follower in arm.followers.items():
+        one, two = (joint_name(arm.model, each) for each in (j, follower.master))
+        SubElement(
+            equality, "joint", joint1=one, joint2=two, polycoef=_numbers_text([*follower.coefficients[:2], 0, 0, 0])
+        )
 
 
 def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:

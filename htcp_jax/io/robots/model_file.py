@@ -22,12 +22,13 @@ from htcp_jax.io.robots.chain import (
     HINGE,
     SLIDE,
     Chain,
-    chain_of_file,
+    JointMap,
     check_joints,
     link_frames,
     whole_chain,
 )
 from htcp_jax.io.robots.composed import read_model
+from htcp_jax.io.robots.constraints import check_loops
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.frames import site_frame
 from htcp_jax.io.robots.mujoco_models import (
@@ -38,9 +39,10 @@ from htcp_jax.io.robots.mujoco_models import (
     joint_name,
     joint_numbers,
     model_name,
+    text_of,
     upwards,
 )
-from htcp_jax.io.robots.safe_xml import LIST
+from htcp_jax.io.robots.safe_xml import LIST, OMITTED
 from htcp_jax.io.robots.stored_pieces import StoredPiece, pieces_of, read_pieces
 from htcp_jax.model import BodyPieces, robot
 from htcp_jax.model import arrays as coordinates
@@ -67,6 +69,7 @@ class RobotFields(NamedTuple):
 
     arrays: dict[str, np.ndarray]  # fields that are arrays, by name
     facts: dict[str, Any]  # other fields, by name
+    coupling: dict[str, Any] | None  # fields of a Coupling, by name; None: no joint follows another
     stored: dict[str, StoredPiece]  # convex pieces by the capsules' names
     held: dict[str, tuple[Capsule, np.ndarray]]  # capsules with their bodies' poses, see `pieces_of`
 
@@ -130,11 +133,12 @@ def read_robot_file(
     chain = whole_chain(model, path, tcp_body, fix_joints(model, path, locked, "robot.locked: "), next_step)
     if chain.root and (T_world_base != np.eye(4)).any():
         raise InputError(f"{path}: the part moves, so robot.base_m and base_rpy_rad must be 0")
-    joints, joint_names = list(chain.joints), check_joints(model, path, chain, fewest=fewest)
+    joints, mapped = list(chain.joints), check_joints(model, path, chain, fewest=fewest)
     slides = tuple(bool(kind == SLIDE) for kind in model.jnt_type[joints])
     arm_name = model_name(model) or path.stem
-    ranges, is_within = _ranges(model, path, joints, limits, joint_names, slides, arm_name)
-    T_parent_joint, frames = link_frames(model, T_world_base, chain)
+    ranges, is_within = _ranges(model, path, mapped, limits, slides, arm_name)
+    T_parent_joint, parents, frames = link_frames(model, T_world_base, chain)
+    check_loops(model, path, [link for link, _ in frames])
     bodies = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
     T_link_flange = T_link_body @ T_body_tcp
@@ -154,11 +158,12 @@ def read_robot_file(
         "on_tool": _ends_on_tool(bodies, on_tool),
     }
     _check_numbers(path, arrays)
-    arrays |= {"lower": ranges[:, 0], "upper": ranges[:, 1], "effort": _effort(model)[joints]}
-    arrays |= {name: _positive_numbers(model, path, name, joints) for name in ("speed", "acceleration")}
+    rates = {name: _positive_numbers(model, path, name, joints) for name in ("speed", "acceleration")}
+    arrays |= mapped.limits(model, path, ranges, **rates, effort=_effort(model)[joints])._asdict()
+    omitted = text_of(model, OMITTED)
     facts = {
         "name": arm_name,
-        "joint_names": joint_names,
+        "joint_names": tuple(joint_name(model, j) for j in mapped.free),
         "slides": slides,
         "capsule_names": tuple(each.name for each in bodies),
         "capsule_link": tuple(each.link for each in bodies),
@@ -168,9 +173,20 @@ def read_robot_file(
         "frames": _named_frames(model, frames, moving=True),
         "base_frames": _named_frames(model, frames, moving=False),
         "world": _arm_frame(robot.WORLD.name, *frames[0]) if chain.root else robot.WORLD,
+        "omitted": tuple(omitted.split(", ")) if omitted else (),
     }
-    remarks.note_limits(model, path, joints, ranges, arrays)
-    return RobotFields(arrays, facts, stored, {each.name: (each.capsule, frames[each.body][1]) for each in bodies})
+    remarks.note_limits(model, path, joints, ranges, rates)
+    free = tuple(slides[joints.index(j)] for j in mapped.free)
+    coupling = {
+        "factors": mapped.factors,
+        "offsets": mapped.offsets,
+        "joint_names": mapped.names(model),
+        "parents": parents,
+        "tcp_link": len(chain.to_tcp) - 1,
+        "slides": free,
+    }
+    held = {each.name: (each.capsule, frames[each.body][1]) for each in bodies}
+    return RobotFields(arrays, facts, coupling if mapped.is_coupled else None, stored, held)
 
 
 def _check_numbers(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -271,16 +287,29 @@ def _find_tcp(model: mujoco.MjModel, path: Path, name: str) -> tuple[int, np.nda
     raise InputError(f"{path}: no site or body {name!r} for the TCP; {known}{step if name == 'tcp' else ''}")
 
 
-def joints_in_file(source: ModelSource, locked: Sequence[str] = ()) -> tuple[int, ...]:
-    """Return, for each joint in the file's order, its index in the list of the robot's joints and then `locked`.
+class JointsInFile(NamedTuple):
+    """The order of a model file's joints, and its joints that do not move."""
+
+    order: tuple[int, ...]  # for each joint in the file, its index in the list of moving joints and then `locked`
+    locked: dict[str, float]  # values of joints that do not move, by name [rad or m]
+
+
+def joints_in_file(source: ModelSource, moving: Sequence[str], locked: Mapping[str, float]) -> JointsInFile:
+    """Return the joints in a model file.
+
+    Args:
+        source: The file, or the models that form the cell.
+        moving: Names of the joints that move, also those that follow others.
+        locked: Values of locked joints, by name [rad or m].
 
     Raises:
         InputError: For a file that cannot be read.
     """
     model = _compile_model(source)[0]
-    names = [joint_name(model, j) for j in chain_of_file(model, label_of(source)).joints]
-    order = [*(name for name in names if name not in locked), *locked]
-    return tuple(order.index(joint_name(model, j)) for j in range(model.njnt))
+    fixed = fix_joints(model, label_of(source), dict(locked))
+    still = {joint_name(model, j): value for j, value in fixed.items()}
+    order = [*moving, *still]
+    return JointsInFile(tuple(order.index(joint_name(model, j)) for j in range(model.njnt)), still)
 
 
 def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.ndarray, np.ndarray]:
@@ -303,27 +332,28 @@ def _joint_limits(model: mujoco.MjModel, path: Path, profile: str) -> tuple[np.n
 def _ranges(
     model: mujoco.MjModel,
     path: Path,
-    joints: list[int],
+    mapped: JointMap,
     limits: str,
-    names: tuple[str, ...],
     slides: tuple[bool, ...],
     arm: str,
 ) -> tuple[np.ndarray, bool]:
-    """Return the ranges (N, 2) of an arm's joints, and True if none is wider than in the model.
+    """Return the ranges (J, 2) of an arm's joints, and True if none is wider than in the model.
 
     A Note names what a file of limits leaves to the model, what is wider or faster than in it, and what is not used.
     """
+    joints = list(mapped.joints)
     widest = [limit[joints] for limit in _joint_limits(model, path, "model")]  # the lists were sampled within these
     if joint_limits.is_limits_file(limits):
         speed = joint_numbers(model, path, "speed")[joints]
-        stated = joint_limits.read_joint_limits(limits, names, arm)
+        stated = joint_limits.read_joint_limits(limits, mapped.names(model), arm)
         lower, upper = stated.ranges(slides, *widest)
         if text := stated.note((widest[0], widest[1]), speed):
             warnings.warn(text, Note, stacklevel=2)
     else:
         lower, upper = (limit[joints] for limit in _joint_limits(model, path, limits))
     ranges = np.stack([lower, upper], axis=1)
-    remarks.check_ranges(model, path, joints, ranges, remarks.OF_JOB)
+    free = np.stack(mapped.limits(model, path, ranges)[:2], axis=1)
+    remarks.check_ranges(model, path, mapped.free, free, remarks.OF_JOB)
     return ranges, bool((lower >= widest[0]).all() and (upper <= widest[1]).all())
 
 
@@ -443,7 +473,7 @@ def _on_tcp_body(model: mujoco.MjModel, tcp_body: int, bodies: list[_Body], chai
     If there are none, all capsules on the last link are returned; none if the part moves, as the last link may be the
     workshop.
     """
-    last = [each for each in bodies if each.link == model.njnt - 1]
+    last = [each for each in bodies if each.link == len(chain.to_tcp) - 1]
     tool = [each for each in last if each.body == tcp_body or tcp_body in upwards(model, each.body)]
     return tool or ([] if chain.root else last)
 

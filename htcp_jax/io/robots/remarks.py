@@ -22,7 +22,7 @@ ON_JOINT, ON_BODY = "remark on joint ", "remark on body "  # heads of a text's n
 NO_RANGE, ENDLESS, SOFT, ONE_BOUND = "no range", "endless", "soft limits", "one bound"
 UNUSED_RANGE, LONG_AXIS = "unused range", "long axis"
 # Each of these is followed by a value.
-FOLLOWS, COUPLED, TYPE, HELD, NO_RATE = "follows ", "is coupled to ", "type ", "is held at ", "no "
+TYPE, LOST, TENDON, NO_RATE = "type ", "mimics the unknown joint ", "is coupled by the tendon ", "no "
 PLANAR_ENDINGS = "_TX", "_TY", "_RZ"  # of the names of the three joints that MuJoCo makes of a planar one
 MOST_NAMED = 12  # maximum number of names in a message
 
@@ -57,7 +57,7 @@ def _remarks(model: mujoco.MjModel, name: str, head: str = ON_JOINT) -> list[str
 def check_kinds(
     model: mujoco.MjModel, path: Path, joints: Sequence[str], bodies: Collection[str], remedies: Remedies
 ) -> None:
-    """Check that joints on the chain are of kinds that are planned. A warning names loops that the chain is part of.
+    """Check that joints on the chain are of kinds that are planned, and that no tendon couples them.
 
     Args:
         model: The compiled model.
@@ -67,25 +67,18 @@ def check_kinds(
         remedies: Remedies for the message.
 
     Raises:
-        InputError: For floating, planar and ball joints, and for joints that follow another one or are held.
+        InputError: For floating, planar and ball joints, for joints that follow an unknown one, and for tendons.
     """
     for name in joints:
         for said in _remarks(model, name):
             if said.startswith(TYPE):
                 raise _wrong_type(path, name, said.removeprefix(TYPE))
-            if said.startswith(COUPLED) and (other := said.removeprefix(COUPLED)) not in joints:
-                warnings.warn(
-                    f"{path}: joint {name!r} is coupled to {other!r} by an <equality>, which is frozen and does not "
-                    "follow",
-                    stacklevel=4,
-                )
-            elif said.startswith((FOLLOWS, COUPLED, HELD)):
-                raise InputError(
-                    f"{path}: joint {name!r} {said}; joints between base and TCP must move on their own; freeze it "
-                    f"with {remedies.freeze.format(name)}"
-                )
-    if loops := dict.fromkeys(said for name in bodies for said in _remarks(model, name, ON_BODY)):
-        warnings.warn(f"{path}: ignored in <equality>: {listed(list(loops))}", stacklevel=4)
+            if said.startswith((LOST, TENDON)):
+                remedy = f"; freeze it with {remedies.freeze.format(name)}" if said.startswith(LOST) else ""
+                raise InputError(f"{path}: joint {name!r} {said}{remedy or ', which is not supported'}")
+    for name in bodies:
+        for said in _remarks(model, name, ON_BODY):
+            raise InputError(f"{path}: link {name!r} {said}, which is not supported")
 
 
 def _wrong_type(path: Path, joint: str, kind: str) -> InputError:

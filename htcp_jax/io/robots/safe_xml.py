@@ -31,12 +31,10 @@ LARGEST_NUMERIC = 1000  # maximum number of values in a <numeric>
 
 # MJCF elements without effect on kinematics: tendons, actuators, visual and dynamic properties, and so on.
 LEFT_OUT = {
-    "actuator", "asset", "camera", "contact", "deformable", "equality", "extension", "hfield", "keyframe", "light",
+    "actuator", "asset", "camera", "contact", "deformable", "extension", "hfield", "keyframe", "light",
     "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
-# Those among them that may change a shape or a limit, so that they are named.
-NAMED = {"deformable", "tendon"}
 # Attributes of dynamics, contacts and pictures, which are only counted; MuJoCo refuses what it does not know.
 HARMLESS = {
     "actuatorgravcomp", "armature", "condim", "damping", "density", "friction", "frictionloss", "gravcomp", "margin",
@@ -48,14 +46,16 @@ CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and 
 UNUSED = "not used"  # name of the text that lists what was not used
 # Names of an arm's own texts: its list, the part's link, the vendor's model, a capsule's cuts.
 LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
+OMITTED = "moving links without capsules"  # name of the text that lists them
 # Names of the texts and tuples in the list, of the convex pieces, and of the part's link.
-OWN = re.compile(r"self_collision|link of the part|made from|cuts of .*|piece of .*|excluded .*")
+OWN = re.compile(rf"self_collision|link of the part|made from|{OMITTED}|cuts of .*|piece of .*|excluded .*")
 VALID = {  # children of some sections, as anything else there, such as a misplaced body, would be removed with them
     "asset": {"hfield", "material", "mesh", "model", "skin", "texture"},
     "contact": {"exclude", "pair"},
     "equality": {"connect", "flex", "flexstrain", "flexvert", "joint", "tendon", "weld"},
 }
-ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("joint",)}  # children to keep in some kept elements
+# Children to keep in some kept elements.
+ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("connect", "joint", "weld")}
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -85,9 +85,7 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 @no_log()
-def read_spec(
-    path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False, equalities: bool = False
-) -> mujoco.MjSpec:
+def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contacts: bool = False) -> mujoco.MjSpec:
     """Read an MJCF or URDF file as an MjSpec, without compiling it.
 
     Args:
@@ -95,7 +93,6 @@ def read_spec(
         meshes: Keep the names of an MJCF file's meshes; a URDF's are always kept.
         visual: Keep a URDF's visual geometry.
         contacts: Keep an MJCF file's contact exclusions, and the list of pairs that `htcp robot` writes.
-        equalities: Keep an MJCF file's joint equalities; a URDF's mimic joints are always kept.
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
@@ -107,14 +104,15 @@ def read_spec(
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     refuse_repeated_names(root, path)
-    joints, bodies = UrdfJoints({}, {}), {}
+    joints, bodies = UrdfJoints({}, {}, {}), {}
     if root.tag == "robot":
         check_elements(root, path, visual, ledger)
         check_tree(root, path)
         joints = read_joints(root, path)
     elif root.tag == "mujoco":
-        joints, bodies = UrdfJoints({}, constraints.joint_remarks(root)), constraints.body_remarks(root)
-        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ()), *(("equality",) if equalities else ())}
+        of_joints, bodies = constraints.tendon_remarks(root)
+        joints = UrdfJoints({}, of_joints, {})
+        kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
         _leave_out(root, path, LEFT_OUT - kept, ledger)
     ledger.warn(path)
     if visual and root.tag == "robot":
@@ -126,6 +124,10 @@ def read_spec(
             numbers = [given.get(joint.name, math.inf) for joint in spec.joints]
             if numbers and (name == "speed" or min(numbers) < math.inf):
                 spec.add_numeric(name=name, data=numbers, size=len(numbers))
+        for name, value in joints.held.items():
+            spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name).data[0] = (
+                value
+            )
         remarks.add_remarks(spec, joints.remarks, bodies)
         if unused := ledger.lines():
             spec.add_text(name=UNUSED, data="\n".join(unused))
@@ -281,18 +283,10 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger
             is_text = child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", ""))
             if child.tag in unwanted or is_text or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
-                _add_to(ledger, child, parent)
+                (ledger.name if child.tag == "deformable" else ledger.count)(f"<{child.tag}>")
         for name in HARMLESS.intersection(parent.attrib):
             ledger.count(f"{name!r} in <{parent.tag}>")
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:
             raise InputError(f"{path}: numeric {numeric.get('name')!r} must have a size of at most {LARGEST_NUMERIC:,}")
-
-
-def _add_to(ledger: Ledger, removed: ElementTree.Element, parent: ElementTree.Element) -> None:
-    """Add an element that was removed to the ledger."""
-    if removed.tag in NAMED and parent.tag == "mujoco" and len(removed):
-        ledger.name(f"<{removed.tag}>")
-    else:
-        ledger.count(f"<{removed.tag}>")

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.chain import FEWEST_JOINTS, SLIDE
-from htcp_jax.io.robots.fixed_joints import followers
+from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.frames import site_frame
 from htcp_jax.io.robots.mujoco_models import joint_name, joints_of, upwards
 from htcp_jax.io.robots.remarks import MOST_NAMED, listed
@@ -124,8 +124,9 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
         tip: The TCP.
         joints: The moving joints from the world to the TCP.
     """
-    arm = list(joints)
-    while arm and _moves_jaw(model, arm[-1]):
+    arm, pairs = list(joints), followers(model, path)
+    off_chain = {j: each for j, each in pairs.items() if j not in joints or each.master not in joints}
+    while arm and _moves_jaw(model, arm[-1], off_chain):
         arm.pop()
     jaw = joints[len(arm) :]
     if not jaw or len(arm) < FEWEST_JOINTS:  # no gripper, or a robot that is a finger
@@ -134,7 +135,8 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
     tips = _tips(model, range(model.nbody)).values()
     names = [each.name for each in tips if model.body_weldid[each.body] == model.body_weldid[base]]
     moved = [joint_name(model, j) for j in jaw]
-    fix = " ".join(f"--fix {name}=VALUE" for name in moved)
+    free = [pairs[j].master if j in pairs else j for j in jaw]
+    fix = " ".join(f"--fix {joint_name(model, j)}=VALUE" for j in dict.fromkeys(free))
     warnings.warn(
         f"{path}: the TCP {tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
         f"choose a frame before the jaw with --tcp ({listed(names)}), or freeze the jaw with {fix}",
@@ -142,13 +144,13 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
     )
 
 
-def _moves_jaw(model: mujoco.MjModel, joint: int) -> bool:
+def _moves_jaw(model: mujoco.MjModel, joint: int, pairs: Mapping[int, Follower]) -> bool:
     """Return True for a gripper's joint.
 
-    It has a gripper's name, or another joint follows it or slides on the same body.
+    It has a gripper's name, or a joint off the chain, by `pairs`, follows it or leads it, or slides on the same body.
     """
-    body, pairs = int(model.jnt_bodyid[joint]), followers(model)
+    body, paired = int(model.jnt_bodyid[joint]), {*pairs, *(each.master for each in pairs.values())}
     named = JAW_JOINT.search(model.joint(joint).name) or JAW_BODY.search(model.body(body).name)
     slides = {int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == SLIDE}
     beside = {each for each in slides - {body} if model.body_parentid[each] == model.body_parentid[body]}
-    return bool(named or joint in {*pairs, *pairs.values()} or (body in slides and beside))
+    return bool(named or joint in paired or (body in slides and beside))

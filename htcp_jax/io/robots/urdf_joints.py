@@ -18,6 +18,7 @@ from htcp_jax.io.robots.ledger import short
 
 WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 TYPES = "revolute", "continuous", "prismatic", "fixed", "floating", "planar"
+MOVING = "revolute", "continuous", "prismatic"  # types that have one coordinate
 BALL = "spherical"  # pybullet's and MuJoCo's addition
 ROUNDED = 0.01  # an axis whose length differs more from 1 is named
 _RATES = {"speed": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
@@ -28,6 +29,7 @@ class UrdfJoints(NamedTuple):
 
     numbers: dict[str, dict[str, float]]  # by the <numeric>'s and the joint's name; inf for none
     remarks: dict[str, list[str]]  # by the joint's name
+    held: dict[str, float]  # values of joints that mimic a fixed one [rad or m], by name
 
 
 def refuse_repeated_names(root: Element, path: Path) -> None:
@@ -86,11 +88,12 @@ def read_joints(root: Element, path: Path) -> UrdfJoints:
         path: The file, for messages.
 
     Raises:
-        InputError: For a descending range, soft limits that contradict it, and a moving joint with an axis of 0.
+        InputError: For a descending range, soft limits that contradict it, a moving joint with an axis of 0, and a
+            joint that mimics itself.
     """
-    found = UrdfJoints({name: {} for name in _RATES}, {})
+    found = UrdfJoints({name: {} for name in _RATES}, {}, {})
     joints = [each for each in root.findall("joint") if each.get("type") != "fixed"]
-    _warn_of_lost_leaders(root, path)
+    masters = _masters(root, path)
     has_world = WORLD not in {each.get("link") for each in root.findall("joint/child")}
     for joint in joints:
         name, kind = joint.get("name", ""), joint.get("type", "")
@@ -110,16 +113,25 @@ def read_joints(root: Element, path: Path) -> UrdfJoints:
             found.numbers[numeric][name] = min(positive, default=math.inf)
             if given and not positive:
                 said.append(remarks.NO_RATE + numeric)
-        if (mimic := joint.find("mimic")) is not None:
-            said.append(remarks.FOLLOWS + mimic.get("joint", ""))
+        if name in masters and masters[name] not in MOVING:  # MuJoCo ignores it
+            mimic = joint.find("mimic")
+            joint.remove(mimic)
+            if masters[name] == "fixed":
+                found.held[name] = float(mimic.get("offset", "0"))
+            else:
+                said.append(remarks.LOST + repr(mimic.get("joint", "")))
     return found
 
 
-def _warn_of_lost_leaders(root: Element, path: Path) -> None:
-    names = {each.get("name") for each in root.findall("joint")}
+def _masters(root: Element, path: Path) -> dict[str, str]:
+    """Return the types of the joints that others mimic, by the mimicking joint's name; "" for an unknown joint."""
+    kinds = {each.get("name"): each.get("type", "") for each in root.findall("joint")}
     pairs = [(each.get("name", ""), each.find("mimic").get("joint", "")) for each in root.findall("joint[mimic]")]
-    if lost := [f"{name} ({leader})" for name, leader in pairs if leader not in names]:
+    if own := [name for name, master in pairs if name == master]:
+        raise InputError(f"{path}: joint {own[0]!r} mimics itself")
+    if lost := [f"{name} ({master})" for name, master in pairs if master not in kinds]:
         warnings.warn(f"{path}: joints that mimic an unknown joint: {short(', '.join(lost))}", stacklevel=5)
+    return {name: kinds.get(master, "") for name, master in pairs}
 
 
 def _axis_remarks(joint: Element, path: Path) -> list[str]:

@@ -1,12 +1,11 @@
 """Import of a vendor's URDF or MJCF file as an arm of capsules, or as a cell in which the part moves.
 
-The joints on the chain to the TCP move, and all other joints are frozen. Capsules enclose the shapes of each body. The
-chain begins at the world, or at the link that carries the part.
+The joints on the chain to the TCP move, those that follow them, and those that they follow; all others are frozen.
+Capsules enclose the shapes of each body. The chain begins at the world, or at the link that carries the part.
 """
 
 import itertools
-import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +16,18 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import capsule_fit, close_fit
 from htcp_jax.io.robots.capsule_fit import Capsule, MeshPiece, Triangles
-from htcp_jax.io.robots.chain import FEWEST_JOINTS, Chain, chain_between, check_joints, find_link, link_frames
-from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints, followers
+from htcp_jax.io.robots.chain import (
+    FEWEST_JOINTS,
+    Chain,
+    chain_between,
+    check_joints,
+    find_link,
+    link_frames,
+    with_side_branches,
+)
+from htcp_jax.io.robots.constraints import check_loops, moved_bodies, omit_text
+from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints
+from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
 from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import (
@@ -89,8 +98,9 @@ class ImportedArm(NamedTuple):
 
     model: mujoco.MjModel
     tip: Tip
-    chain: Chain  # chain from the world, or from the part's link, to the TCP
-    joint_names: tuple[str, ...]  # names of the chain's joints
+    chain: Chain  # chain from the world, or from the part's link, to the TCP, with side branches
+    joint_names: tuple[str, ...]  # names of the joints that move by themselves
+    followers: dict[int, Follower]  # those of the chain's joints that follow others, by their indices in the model
     frozen: tuple[str, ...]  # names of other joints that are frozen at their initial values
     fixed: dict[str, float]  # other values at which joints are frozen [rad or m], by name
     bodies: tuple[int, ...]  # indices of the robot's bodies in the model, see `_robot_bodies`
@@ -102,6 +112,7 @@ class ImportedArm(NamedTuple):
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # pairs of bodies that an SRDF excludes from self-collision checks
     unused: tuple[str, ...]  # elements and attributes that were not used, with their numbers, see `ledger`
+    omitted: tuple[str, ...]  # links that followers or loops move and whose shapes were omitted
 
     @property
     def name(self) -> str:
@@ -152,7 +163,8 @@ def import_robot(
         InputError: For a file or a mesh that cannot be read, a missing or ambiguous TCP, an unknown link of the part or
             one without a joint between it and the TCP, ball and free joints on the chain, too few joints, more than
             nine joints if the part moves, a joint without a range, a model without shapes, the SRDF file of another
-            robot, an unknown joint or a value beyond its limits in `fixed`, and a tolerance out of range.
+            robot, an unknown joint, a follower or a value beyond its limits in `fixed`, a tolerance out of range, and
+            couplings and loops that are not supported, see `check_joints` and `_moved_joints`.
     """
     fit = _Fit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
@@ -163,28 +175,31 @@ def import_robot(
     omitted = {find_link(model, path, name, bodies, "--omit") for name in omit}
     names, in_srdf = [body_name(model, b) for b in bodies], Ledger()
     disabled = disabled_pairs(srdf, model_name(model), names, in_srdf) if srdf else ()
-    moving = [j for j in range(model.njnt) if j not in values]
     chain = _moving_chain(model, path, root, tip, values)
+    chain = with_side_branches(model, path, chain, values, bodies)
     joints = chain.joints
     geoms = [geom for geom in shapes.geoms if _body_of(model, geom) in bodies]
     chosen = _chosen_geoms(geoms, model, visual)
     own = _enclosed_geoms(model, path, chosen, omitted, geoms, visual)
     hint = other_frames(model, bodies, tip) if root == 0 else ""
-    joint_names = check_joints(model, path, chain, hint, fewest, OF_IMPORT)
-    ranges, numbers = limits_of(model, path, joints, limits)
+    mapped = check_joints(model, path, chain, hint, fewest, OF_IMPORT)
+    ranges, numbers = limits_of(model, path, mapped, limits)
     if root == 0:
-        warn_of_jaw(model, path, tip, joints)
-    frozen = [j for j in moving if j not in joints and model.jnt_bodyid[j] in bodies]
-    offset = fix_followers(model, frozen, values)
+        warn_of_jaw(model, path, tip, chain.to_tcp)
+    frozen = [j for j in range(model.njnt) if j not in (*values, *joints) and model.jnt_bodyid[j] in bodies]
     found = _shapes_of_bodies(own, shapes, model)
-    _warn_of_followers(model, path, joints, frozen, found, offset)
+    moved = _moved_joints(model, path, chain, frozen, found)
+    hidden = [b for b in moved_bodies(model, moved, sorted(omitted)) if b in {_body_of(model, geom) for geom in chosen}]
+    pairs = {j: each for j, each in followers(model, path).items() if j in joints}
+    offset = fix_followers(model, path, frozen, values)
     covers = _covers(found, model, chain, fit, {model.geom(geom.at).name for geom in own}, progress)
     write_ranges(model, path, joints, ranges, numbers)
     return ImportedArm(
         model,
         tip,
         chain,
-        joint_names,
+        tuple(joint_name(model, j) for j in mapped.free),
+        pairs,
         frozen=tuple(joint_name(model, j) for j in frozen if j not in offset),
         fixed={joint_name(model, j): value for j, value in sorted((values | offset).items())},
         bodies=bodies,
@@ -196,6 +211,7 @@ def import_robot(
         shapeless=tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         disabled=tuple(disabled),
         unused=(*(text_of(model, UNUSED) or "").splitlines(), *in_srdf.lines()),
+        omitted=tuple(body_name(model, b) for b in hidden),
     )
 
 
@@ -226,11 +242,11 @@ def _covers(
     progress: Callable[[int, int], None],
 ) -> dict[int, BodyCover]:
     """Enclose the shapes of each body in capsules whose names differ from `names`, which is modified."""
-    covers, frames = {}, link_frames(model, np.eye(4), chain)[1]
+    covers, frames = {}, link_frames(model, np.eye(4), chain).of_bodies
     for done, (b, own) in enumerate(shapes.items()):
         progress(done, len(shapes))
-        links_after = len(chain.joints) - 1 - frames[b][0]
-        covers[b] = _cover(own, body_name(model, b), names, fit, close=links_after < CLOSE_LINKS)
+        is_close = len(chain.to_tcp) - CLOSE_LINKS <= frames[b][0] < len(chain.to_tcp)
+        covers[b] = _cover(own, body_name(model, b), names, fit, is_close)
     return covers
 
 
@@ -248,37 +264,34 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
     return chain
 
 
-def _warn_of_followers(
-    model: mujoco.MjModel,
-    path: Path,
-    joints: Sequence[int],
-    frozen: Sequence[int],
-    shaped: Iterable[int],
-    offset: Mapping[int, float],
-) -> None:
-    """Warn of frozen joints that follow a moving one and carry shapes, such as the rods of a parallel linkage.
+def _moved_joints(
+    model: mujoco.MjModel, path: Path, chain: Chain, frozen: Sequence[int], shaped: Collection[int]
+) -> list[int]:
+    """Return the joints off the chain that couplings move: side branches, and frozen joints that move no shapes.
 
     Args:
         model: The compiled model.
-        path: Its file, for the message.
-        joints: The moving joints.
+        path: Its file, for messages.
+        chain: The chain, with its side branches.
         frozen: The frozen joints.
         shaped: The bodies with shapes.
-        offset: Values at which some are frozen [rad or m].
+
+    Raises:
+        InputError: For a frozen joint that moves shapes by a polynomial of a moving joint, or in a loop.
     """
-    pairs, moving = followers(model), set(joints)
-    for _ in pairs:  # one that follows a follower moves, too
-        moving |= {j for j, leader in pairs.items() if leader in moving}
-    for j in filter(moving.__contains__, frozen):
-        links = [body_name(model, b) for b in shaped if model.jnt_bodyid[j] in upwards(model, b)]
-        rest = "its link does not follow; exclude it" if len(links) == 1 else "its links do not follow; exclude them"
-        value = offset.get(j, model.qpos0[model.jnt_qposadr[j]])
-        if links:
-            warnings.warn(
-                f"{path}: {joint_name(model, j)} mimics {joint_name(model, pairs[j])} and is frozen at {value:g}: "
-                f"{rest} with {' '.join(f'--omit {name}' for name in links)}",
-                stacklevel=3,
-            )
+    moving, curved = set(chain.joints), []
+    for j, follower in followers(model, path).items():  # masters first
+        if j in frozen and follower.master in moving:
+            moving.add(j)
+            curved.append(j)
+            if bodies := moved_bodies(model, [j], shaped):
+                names = joint_name(model, j), joint_name(model, follower.master)
+                raise InputError(
+                    f"{path}: joint {names[0]!r} follows {names[1]!r} by a polynomial; only factor and offset are "
+                    f"supported; exclude the links that it moves with {omit_text(model, bodies)}"
+                )
+    links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
+    return [*chain.side, *curved, *check_loops(model, path, links, frozen, shaped)]
 
 
 def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
@@ -296,7 +309,7 @@ def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
 
 
 def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
-    spec = read_spec(path, meshes=True, visual=visual, contacts=True, equalities=True)
+    spec = read_spec(path, meshes=True, visual=visual, contacts=True)
     spec.compiler.discardvisual = False
     delete_all(spec, spec.tuples)  # the list in an arm by htcp robot refers to capsules that get other names here
     shapes = Shapes(spec, path)
@@ -306,9 +319,9 @@ def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco
 def chain_text(arm: ImportedArm) -> str:
     """Format the links and joints from the part to the TCP as text: part -a7- link_6 ... base -b1- table."""
     model, words, link = arm.model, [arm.part or "world"], arm.chain.root
-    for j, name, back in zip(arm.chain.joints, arm.joint_names, arm.chain.reversed, strict=True):
+    for j, back in zip(arm.chain.to_tcp, arm.chain.reversed, strict=False):
         link = int(model.jnt_bodyid[j])
-        words += [f"-{name}-", body_name(model, int(model.body_parentid[link]) if back else link)]
+        words += [f"-{joint_name(model, j)}-", body_name(model, int(model.body_parentid[link]) if back else link)]
     return " ".join(words)
 
 

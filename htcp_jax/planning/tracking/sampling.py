@@ -38,7 +38,7 @@ def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, st
     the first `samples` valid ones are returned. Valid draws are within the joint limits and `max_sample_distance_rad`,
     and clear.
     """
-    robot, n = scene.robot, len(scene.robot.slides)
+    robot, n = scene.robot, scene.robot.dof
     # As in the paper, the first two joints, which carry all others, do not move; this is also done for other arms.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)

@@ -23,17 +23,19 @@ class ProgramFormat(NamedTuple):
     step_s: float | None  # default time step of samples; None: the motion's own configurations
     external_axes: bool = True  # False: the format supports only an arm that is fixed in the world
     by_group: bool = False  # True: the format has no joint names, but orders joints as in `JointGroups`
+    # joints of an arm with joints that follow others: those that it may contain, the default first
+    axes: tuple[str, ...] = ("commanded",)
 
 
 FORMATS = {
-    "csv": ProgramFormat(csv_text, 0.001),
-    "ros": ProgramFormat(ros_yaml_text, 0.01),
-    "ros-json": ProgramFormat(ros_json_text, 0.01),
+    "csv": ProgramFormat(csv_text, 0.001, axes=("commanded", "all")),
+    "ros": ProgramFormat(ros_yaml_text, 0.01, axes=("commanded", "all")),
+    "ros-json": ProgramFormat(ros_json_text, 0.01, axes=("commanded", "all")),
     "jbi": ProgramFormat(jbi_text, None, external_axes=False),
     "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_group=True),
     "rapid": ProgramFormat(rapid_text, None, by_group=True),
     "urscript": ProgramFormat(urscript_text, 0.002, external_axes=False),
-    "keyframes": ProgramFormat(keyframes_text, 0.01),
+    "keyframes": ProgramFormat(keyframes_text, 0.01, axes=("all",)),
 }
 
 

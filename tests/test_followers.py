@@ -1,0 +1,340 @@
+"""Arms whose joints follow others, imported and read back, beside MuJoCo's model with its constraints solved."""
+
+import json
+import re
+import warnings
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from coupled import COMPILER, joint, mimic, solved, urdf
+
+from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots import load_robot
+from htcp_jax.model import kinematics
+
+BASE = [joint("a1", "base", "l1", "0 0 1"), joint("a2", "l1", "l2"), joint("a3", "l2", "l3")]
+TOOL = joint("a6", "l5", "tcp", "1 0 0")
+FREE = ["a1", "a2", "a3"]
+# A shaft turns off the chain and drives the last link.
+SHAFT = joint("shaft", "l1", "wheel", "1 0 0", limit="-2 3")
+MJCF = """<mujoco model="coupled"><compiler angle="radian"/><worldbody><geom name="foot" size="0.02"/>
+  <body name="l1" pos="0.1 0 0.2" euler="0.1 0.2 0.3"><joint name="pan" axis="0 0 1" pos="0 0.1 0" range="-3 3"/>
+    <joint name="tilt" axis="0 1 0" pos="0.05 0 0" ref="0.4" range="-1 2"/><geom name="upper" size="0.02"/>
+    <body name="l2" pos="0.3 0 0"><joint name="reach" type="slide" axis="1 0 0" ref="-0.1" range="-0.2 0.2"/>
+      <geom name="middle" size="0.03"/>
+      <body name="l3" pos="0.2 0 0"><joint name="bend" axis="0 1 0" ref="0.3" range="-1 2"/>
+        <geom name="low" size="0.03"/>
+        <body name="l4" pos="0.1 0 0"><joint name="roll" axis="1 0 0"/><geom name="hand" size="0.03"/>
+          <site name="tcp" pos="0 0.1 0.2"/></body></body></body>
+    <body name="rod" pos="0 0.2 0"><joint name="push" axis="0 1 0" ref="-0.2"/><geom name="rod" size="0.01"/></body>
+  </body></worldbody><equality>EQUALITY</equality></mujoco>"""
+
+
+def mjcf(equality: str) -> str:
+    return MJCF.replace("EQUALITY", equality)
+
+
+# The file, the coordinates, and the range, speed and number of chain joints behind the last coordinate.
+ARMS = {
+    "a wrist that bends twice": (
+        urdf(*BASE, joint("a5", "l3", "l4"), joint("a5b", "l4", "l5", more=mimic("a5")), TOOL),
+        [*FREE, "a5", "a6"],
+        {"a5": (-1, 1, 2)},
+    ),
+    "an offset and a negative factor": (
+        urdf(
+            *BASE, joint("a5", "l3", "l4"), joint("a5b", "l4", "l5", limit="-0.7 1.3", more=mimic("a5", -2, 0.3)), TOOL
+        ),
+        [*FREE, "a5", "a6"],
+        {"a5": (-0.5, 0.5, 1)},
+    ),
+    "a chain of two": (
+        urdf(
+            *BASE,
+            joint("a4", "l3", "l4", more=mimic("a5", 0.5, 0.1)),
+            joint("a5", "l4", "l5", "0 0 1", more=mimic("a3", -1, 0.2)),
+            TOOL,
+        ),
+        [*FREE, "a6"],
+        {"a3": (-0.8, 1, 2)},
+    ),
+    "a lift of two stages": (
+        urdf(
+            joint("lift", "base", "s1", "0 0 1", kind="prismatic", limit="0 0.4"),
+            joint("lift2", "s1", "l1", "0 0 1", kind="prismatic", limit="0 0.3", more=mimic("lift")),
+            *BASE[1:],
+            joint("a6", "l3", "tcp", "1 0 0"),
+        ),
+        ["lift", "a2", "a3", "a6"],
+        {"lift": (0, 0.3, 2)},
+    ),
+    "a slide that a screw moves": (
+        urdf(
+            *BASE,
+            joint("a4", "l3", "l4"),
+            joint("slide", "l4", "l5", kind="prismatic", limit="-0.1 0.1", more=mimic("a4", 0.05)),
+            TOOL,
+        ),
+        [*FREE, "a4", "a6"],
+        {"a4": (-1, 1, 2)},
+    ),
+    "a master off the chain": (
+        urdf(*BASE, SHAFT, joint("a5", "l3", "l5", more=mimic("shaft", 0.5)), TOOL),
+        [*FREE, "shaft", "a6"],
+        {"shaft": (-2, 2, 2)},
+    ),
+    "a parallelogram's rods": (
+        urdf(
+            *BASE,
+            joint("a4", "l3", "l5"),
+            TOOL,
+            joint("lever", "l1", "crank", more=mimic("a2", -1, 0.1)),
+            joint("push", "crank", "rod", "0 0 1", more=mimic("a3", 0.5)),
+        ),
+        [*FREE, "a4", "a6"],
+        {"a2": (-0.9, 1, 2), "a3": (-1, 1, 2)},
+    ),
+    "a factor of 0": (
+        urdf(*BASE, joint("a4", "l3", "l4", more=mimic("a3", 0, 0.25)), joint("a5", "l4", "l5"), TOOL),
+        [*FREE, "a5", "a6"],
+        {},
+    ),
+    "MJCF, drawn elsewhere": (
+        mjcf('<joint joint1="bend" joint2="reach" polycoef="0.1 2"/><joint joint1="push" joint2="bend"/>'),
+        ["pan", "tilt", "reach", "roll"],
+        {"reach": (-0.2, 0.2, np.inf)},
+    ),
+    "MJCF, held": (
+        mjcf('<joint joint1="bend" polycoef="0.1"/>'),
+        ["pan", "tilt", "reach", "roll"],
+        {},
+    ),
+    "MJCF, inactive": (
+        mjcf('<joint joint1="bend" joint2="reach" active="false"/><connect body1="l4" anchor="0 0 0" active="false"/>'),
+        ["pan", "tilt", "reach", "bend", "roll"],
+        {},
+    ),
+}
+
+
+@pytest.fixture
+def imported(tmp_path, capsys):
+    """Import a text, and return the command's JSON and the arm's file."""
+
+    def run(text: str, *words: str):
+        file, out = tmp_path / f"model.{'urdf' if '<robot' in text else 'xml'}", tmp_path / "arm.xml"
+        file.write_text(text)
+        assert main(["robot", str(file), "--tcp", "tcp", "--out", str(out), "--json", "--replace", *words]) == 0
+        return json.loads(capsys.readouterr().out), out
+
+    return run
+
+
+def kinematics_of(arm, rows: np.ndarray) -> list[np.ndarray]:
+    """TCP poses, first ends of the capsules and Jacobians of the TCP at configurations (n, N)."""
+
+    def at(x):
+        return (
+            kinematics.tcp_pose(arm, x),
+            kinematics.capsule_segments(arm, x)[0],
+            kinematics.jacobian(arm, x),
+        )
+
+    return list(map(np.asarray, jax.jit(jax.vmap(at))(rows)))
+
+
+def reference(text: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(text.replace("</robot>", f"{COMPILER}</robot>"))
+
+
+@pytest.mark.parametrize("case", ARMS)
+def test_the_arm_moves_as_mujoco_with_its_constraints_solved(imported, case):
+    text, names, limits = ARMS[case]
+    facts, file = imported(text)
+    arm, model = load_robot(file), reference(text)
+    assert facts["joints"] == list(arm.joint_names) and sorted(facts["joints"]) == sorted(names)
+    for name, expected in limits.items():
+        k = arm.joint_names.index(name)
+        np.testing.assert_allclose([float(each[k]) for each in (arm.lower, arm.upper, arm.speed)], expected, atol=1e-12)
+    low, high = np.maximum(arm.lower, -3), np.minimum(arm.upper, 3)
+    rows = np.random.default_rng(0).uniform(low, high, (20, len(low)))
+    poses, middles, jacobians = kinematics_of(arm, rows)
+    bodies = [name for name in arm.capsule_names if name not in ("base", "foot")]
+    of_urdf = "<robot" in text
+    for u, pose, middle, jacobian in zip(rows, poses, middles, jacobians, strict=True):
+        data, along = solved(model, dict(zip(arm.joint_names, u, strict=True)))
+        frame = data.body("tcp") if of_urdf else data.site("tcp")
+        place, turn = (frame.xpos, frame.xmat.reshape(3, 3))
+        np.testing.assert_allclose(pose[:3, 3], place, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(pose[:3, :3], turn, rtol=0, atol=1e-9)
+        for name in bodies:
+            expected = data.body(name).xpos if of_urdf else data.geom(name).xpos
+            np.testing.assert_allclose(middle[arm.capsule_names.index(name)], expected, rtol=0, atol=1e-9, err_msg=name)
+        J = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, J, None, place, model.body("tcp" if of_urdf else "l4").id)
+        np.testing.assert_allclose(jacobian, J @ along, rtol=0, atol=1e-9)
+
+
+def test_the_file_that_is_read_directly_is_the_arm_that_is_imported(imported, tmp_path):
+    _, file = imported(ARMS["MJCF, drawn elsewhere"][0])
+    ours, theirs = load_robot(file), load_robot(tmp_path / "model.xml")
+    assert ours.joint_names == theirs.joint_names and ours.coupling.joint_names == theirs.coupling.joint_names
+    assert ours.coupling.parents == theirs.coupling.parents == (-1, 0, 1, 2, 3, 1)
+    for one, other in zip(jax.tree.leaves(ours.coupling), jax.tree.leaves(theirs.coupling), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
+
+
+def test_followers_are_printed_with_what_they_follow(imported):
+    facts, file = imported(ARMS["a chain of two"][0])
+    assert facts["followers"] == ["a5 = -a3 + 0.2", "a4 = 0.5 a5 + 0.1"]
+    assert '<joint joint1="a4" joint2="a5" polycoef="0.1 0.5 0 0 0" />' in file.read_text()
+
+
+def test_followers_are_frozen_with_their_master(imported):
+    text = ARMS["a chain of two"][0]
+    facts, file = imported(text, "--fix", "a3=0.4")
+    assert facts["joints"] == ["a1", "a2", "a6"] and "followers" not in facts
+    assert facts["fixed"] == ["a3=0.4", "a4=0", "a5=-0.2"]
+    data, _ = solved(reference(text), {"a1": 0.1, "a2": 0.2, "a3": 0.4, "a6": 0.3})
+    pose = kinematics_of(load_robot(file), np.array([[0.1, 0.2, 0.3]]))[0][0]
+    np.testing.assert_allclose(pose[:3, 3], data.body("tcp").xpos, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("case", ["a chain of two", "a parallelogram's rods"])
+def test_a_job_that_locks_a_master_locks_its_followers(imported, case):
+    text, names, _ = ARMS[case]
+    _, file = imported(text)
+    whole, arm = load_robot(file), load_robot(file, locked={"a3": 0.3})
+    u = np.linspace(-0.3, 0.5, len(names))
+    u[whole.joint_names.index("a3")] = 0.3
+    there = kinematics_of(whole, u[None])[:2]
+    here = kinematics_of(arm, np.delete(u, whole.joint_names.index("a3"))[None])[:2]
+    assert arm.joint_names == tuple(name for name in whole.joint_names if name != "a3")
+    assert (arm.coupling is None) == (case == "a chain of two")
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+
+
+def test_a_job_cannot_lock_a_follower(imported):
+    _, file = imported(ARMS["a chain of two"][0])
+    with pytest.raises(InputError, match=r"robot\.locked: a5=0\.1: this joint follows a3; freeze that joint"):
+        load_robot(file, locked={"a5": 0.1})
+
+
+# What is refused, in one line
+
+EQUALITIES = {
+    "a circle": (
+        '<joint joint1="bend" joint2="reach"/><joint joint1="reach" joint2="tilt"/>'
+        '<joint joint1="tilt" joint2="bend"/>',
+        "joints follow each other in a circle: bend -> reach -> tilt -> bend",
+    ),
+    "two masters": (
+        '<joint joint1="bend" joint2="reach"/><joint joint1="bend" joint2="tilt"/>',
+        "joint 'bend' follows 'reach' and follows 'tilt'; it can follow only one",
+    ),
+    "an unknown master": ('<joint joint1="bend" joint2="elbow"/>', "unknown element 'elbow' in equality constraint"),
+    "a polynomial": (
+        '<joint joint1="bend" joint2="reach" polycoef="0 1 2"/>',
+        "joint 'bend' follows 'reach' by a polynomial; only factor and offset are supported; freeze that joint with "
+        "--fix reach=VALUE",
+    ),
+    "a polynomial off the chain": (
+        '<joint joint1="push" joint2="reach" polycoef="0 1 2"/>',
+        "joint 'push' follows 'reach' by a polynomial; only factor and offset are supported; exclude the links that it "
+        "moves with --omit rod",
+    ),
+    "connect": ('<connect body1="l4" anchor="0 0 0"/>', "<connect> of l4 and world in <equality> closes a loop"),
+    "weld": ('<weld body1="l4" body2="l2"/>', "<weld> of l4 and l2 in <equality> closes a loop, which is"),
+    "a loop with a rod": (
+        '<connect body1="rod" body2="l3" anchor="0 0 0"/>',
+        "<connect> of rod and l3 in <equality> closes a loop, which is not supported; exclude the links that it moves "
+        "with --omit rod",
+    ),
+    "a tendon": ('<tendon tendon1="cable"/>', "joint 'tilt' is coupled by the tendon cable, which is not supported"),
+}  # fmt: skip
+CABLE = '<tendon><fixed name="cable"><joint joint="tilt" coef="1"/><joint joint="bend" coef="-1"/></fixed></tendon>'
+
+
+def refusal(folder, capsys, *words: str) -> str:
+    there = sorted(folder.iterdir())
+    assert main(["robot", *words, "--tcp", "tcp", "--out", str(folder / "arm.xml")]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1 and not printed.out and sorted(folder.iterdir()) == there
+    return printed.err
+
+
+@pytest.mark.parametrize("case", EQUALITIES)
+def test_a_coupling_that_is_not_supported_is_one_line(tmp_path, capsys, case):
+    equality, message = EQUALITIES[case]
+    (tmp_path / "model.xml").write_text(mjcf(equality).replace("</mujoco>", f"{CABLE}</mujoco>"))
+    assert message in refusal(tmp_path, capsys, str(tmp_path / "model.xml"))
+
+
+CIRCLE = urdf(
+    *BASE,
+    joint("a4", "l3", "l4", more=mimic("a5")),
+    joint("a5", "l4", "l5", more=mimic("a4")),
+    joint("a6", "l5", "tcp"),
+)
+
+
+def test_a_circle_of_mimic_joints_is_one_line(tmp_path, capsys):
+    (tmp_path / "model.urdf").write_text(CIRCLE)
+    message = "joints follow each other in a circle: a4 -> a5 -> a4"
+    assert message in refusal(tmp_path, capsys, str(tmp_path / "model.urdf"))
+
+
+def test_limits_without_a_common_value_are_one_line(tmp_path, capsys):
+    text = urdf(*BASE, joint("a4", "l3", "l5", limit="0.5 1", more=mimic("a3", 1, -1)), TOOL)
+    (tmp_path / "model.urdf").write_text(text)
+    message = "joint a3 has no range within the limits of a4 and a3, which move with it"
+    assert message in refusal(tmp_path, capsys, str(tmp_path / "model.urdf"))
+
+
+OMITTED = {
+    "a polynomial": '<joint joint1="push" joint2="reach" polycoef="0 1 2"/>',
+    "a loop": '<connect body1="rod" body2="l3" anchor="0 0 0"/>',
+    "a follower": '<joint joint1="push" joint2="reach"/>',
+}
+
+
+@pytest.mark.parametrize("case", OMITTED)
+def test_a_moving_link_that_is_omitted_is_listed_in_the_file_and_in_plans(imported, case):
+    facts, file = imported(mjcf(OMITTED[case]), "--omit", "rod")
+    assert facts["omitted"] == ["rod"] and load_robot(file).omitted == ("rod",)
+
+
+def test_another_link_that_is_omitted_is_not_listed(imported):
+    facts, file = imported(mjcf(OMITTED["a follower"]), "--omit", "l1")
+    assert "omitted" not in facts and load_robot(file).omitted == ()
+
+
+def test_a_mimic_of_a_fixed_joint_holds_the_joint_at_its_offset(imported):
+    text = urdf(
+        *BASE, joint("mount", "l3", "l4", kind="fixed"), joint("a5", "l4", "l5", more=mimic("mount", 2, 0.3)), TOOL
+    )
+    facts, _ = imported(text)
+    assert facts["joints"] == [*FREE, "a6"] and facts["fixed"] == ["a5=0.3"]
+
+
+def test_a_tie_to_a_body_that_is_not_the_robots_is_a_warning(tmp_path):
+    hand = '<body name="mouse" mocap="true"/></worldbody>'
+    text = mjcf('<weld body1="mouse" body2="l4"/>').replace("</worldbody>", hand)
+    (tmp_path / "model.xml").write_text(re.sub(r'<body name="rod".*?</body>', "", text))
+    with pytest.warns(UserWarning, match="ignored in <equality>: <weld> of mouse and l4$"):
+        load_robot(tmp_path / "model.xml")
+
+
+def test_a_gripper_that_closes_loops_behind_the_tcp_is_frozen(imported):
+    jaw = '<body name="jaw{0}" pos="{0} 0 0"><joint name="jaw{0}" axis="0 1 0"/><geom size="0.01"/></body>'
+    text = mjcf('<connect body1="jaw1" body2="jaw2" anchor="0 0 0"/>').replace(
+        '<site name="tcp"', f'{jaw.format(1)}{jaw.format(2)}<site name="tcp"'
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        facts, _ = imported(text)
+    assert facts["frozen"] == ["jaw1", "jaw2", "push"] and "omitted" not in facts
