@@ -265,7 +265,6 @@ REFUSED = {
         arm().replace('<sphere radius="0.1"/>', '<mesh filename="a.stl" scale="0.001"/>', 1),
         "link 'base': <mesh scale='0.001'> is not 3 numbers",
     ),
-    "an expression of xacro's": (arm().replace('"0 0 0.3"', '"0 0 ${height}"', 1), "a xacro file; expand it first"),
 }  # fmt: skip
 
 

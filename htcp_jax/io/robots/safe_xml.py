@@ -9,7 +9,6 @@ these before MuJoCo opens them.
 
 import math
 import re
-import shlex
 import warnings
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,6 +22,7 @@ from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import forget_impossible_inertias, no_log, unreadable_model
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
+from htcp_jax.io.robots.xacro_file import expand
 from htcp_jax.system import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
@@ -96,11 +96,10 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
-            file, for repeated names of links and joints, for a URDF whose elements or joints are damaged, and for a
-            misplaced element that would be removed.
+            file that cannot be expanded, for repeated names of links and joints, for a URDF whose elements or joints
+            are damaged, and for a misplaced element that would be removed.
     """
-    root, ledger = parse(path), Ledger()
-    refuse_xacro(root, path)
+    root, ledger = parse_model(path), Ledger()
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     refuse_repeated_names(root, path)
@@ -145,29 +144,34 @@ def model_files(path: Path) -> set[Path]:
     Raises:
         InputError: As `read_spec` does.
     """
-    seen = {path.resolve()}
-    _put_includes_in_place(parse(path), path, seen)
+    seen, root = {path.resolve()}, parse(path)
+    if _is_xacro(root, path):
+        return seen | expand(path).included
+    _put_includes_in_place(root, path, seen)
     return seen
 
 
-def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -> None:
-    """Refuse a file that xacro has not expanded; an expanded file may still declare the prefix xacro.
+def parse_model(path: Path, kind: str = "a model that MuJoCo can read", ending: str = ".urdf") -> ElementTree.Element:
+    """Return the root of an XML file, which is expanded if it is a xacro file, see `xacro_file`.
 
     Args:
-        root: Root of the file.
         path: The file.
-        ending: Ending of the expanded file, for the message.
+        kind: Name of its kind, for the message about a damaged file.
+        ending: Ending of the expanded file, for messages.
 
     Raises:
-        InputError: For such a file, with the command that expands it.
+        InputError: As `parse` and `xacro_file.expand` do.
     """
+    root = parse(path, kind)
+    return _parsed(expand(path, ending).text.encode(), _Builder(path)) if _is_xacro(root, path) else root
+
+
+def _is_xacro(root: ElementTree.Element, path: Path) -> bool:
+    """Return True for a file that xacro has not expanded; an expanded file may still declare the prefix xacro."""
     is_unexpanded = any(each.tag.startswith("xacro:") for each in root.iter()) or any(
         map(_has_macro, read_elements(root))
     )
-    if path.suffix.lower() == ".xacro" or is_unexpanded:
-        made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
-        without = f"without ROS: pip install xacrodoc; xacrodoc {shlex.quote(str(path))} --pkg-dir FOLDER -o {made}"
-        raise InputError(f"{path}: a xacro file; expand it first: xacro {shlex.quote(str(path))} > {made} ({without})")
+    return path.suffix.lower() == ".xacro" or is_unexpanded
 
 
 def _has_macro(element: ElementTree.Element) -> bool:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots.ledger import Ledger, short
-from htcp_jax.io.robots.safe_xml import parse, refuse_xacro
+from htcp_jax.io.robots.safe_xml import parse_model
 
 PAIR = "disable_collisions"
 # Elements for planners and controllers, without influence on the links that may touch each other.
@@ -28,8 +28,7 @@ def disabled_pairs(path: Path, robot: str, bodies: Collection[str], ledger: Ledg
         InputError: For a file that cannot be read, for the SRDF file of another robot, for a pair with a link that the
             model lacks or inside another element, and for a file without pairs.
     """
-    root = parse(path, "an SRDF file")
-    refuse_xacro(root, path, ".srdf")
+    root = parse_model(path, "an SRDF file", ".srdf")
     if root.tag != "robot":
         raise InputError(f"{path}: the root is <{root.tag}>; in an SRDF file it must be <robot>")
     if (name := root.get("name", "")) != robot:
