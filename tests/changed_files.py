@@ -28,6 +28,7 @@ from htcp_jax.io.cell import load_cell
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.path_file import read_path_points
 from htcp_jax.io.robots.joint_limits import read_joint_limits
+from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.srdf import disabled_pairs
@@ -38,6 +39,7 @@ from htcp_jax.trajectory.limits_file import limits_overrides
 FINE = "refused", "changed", "named"
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 WORD = re.compile(r"[^\s,;]+")
+SRDF_LINKS = "base", "upper", "fore", "tool"
 
 
 class Change(NamedTuple):
@@ -286,7 +288,9 @@ KINDS = {
     "MJCF arm": Kind("arm.xml", changed_xml, load_robot),
     "MJCF arm, imported": Kind("vendor.xml", changed_xml, _imported),
     "MJCF cell": Kind("cell.xml", changed_xml, _moved_cell),
-    "SRDF": Kind("arm.srdf", changed_xml, lambda file: disabled_pairs(file, "arm", ("base", "upper", "fore", "tool"))),
+    "SRDF": Kind(
+        "arm.srdf", changed_xml, lambda file: disabled_pairs(file, "arm", ("base", "upper", "fore", "tool"), Ledger())
+    ),
     "OBJ": Kind("part.obj", changed_lines, load_geometry),
     "STL": Kind("part.stl", changed_lines, load_geometry),
     "PLY": Kind("part.ply", changed_lines, load_geometry),

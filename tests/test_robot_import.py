@@ -352,3 +352,27 @@ def test_outside_is_nothing_without_a_mesh():
     empty = np.empty((0, 3, 3))
     cover = BodyCover({}, {}, {}, {}, empty, empty, ())
     assert cover.outside_m == 0 and np.isnan(cover.ratio) and np.isnan(cover.excess_m)
+
+
+def test_a_flat_mesh_is_enclosed_and_written(tmp_path):
+    """A marker of two triangles, as on mobile arms: its hull has no volume."""
+    square = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
+    square.export(tmp_path / "square.stl")
+    shape = '<geom type="mesh" mesh="square"/>'
+    for name in "ab":
+        shape = f'<body pos="0 0 0.2"><joint name="{name}" range="-1 1"/>{shape}</body>'
+    text = f'<mujoco><asset><mesh name="square" file="square.stl"/></asset><worldbody>{shape}</worldbody></mujoco>'
+    (tmp_path / "arm.xml").write_text(text)
+    arm = import_robot(tmp_path / "arm.xml", fewest=2)
+    (cover,) = arm.covers.values()
+    assert np.isnan(cover.ratio) and are_enclosed(cover.enclosed, list(cover.fitted.values()))
+    assert "about mesh, flat" in mjcf.arm_xml(arm, "arm.xml")
+
+
+def test_a_mesh_may_be_in_the_folder_above_the_model(tmp_path):
+    """As in a ROS package with the folders urdf/ and meshes/, whose URDF says meshes/boom.stl."""
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "meshes").mkdir()
+    MESH.export(tmp_path / "meshes/boom.stl")
+    (tmp_path / "urdf/crane.urdf").write_text(URDF.replace("package://crane_description/", ""))
+    assert import_robot(tmp_path / "urdf/crane.urdf", "grasp", most=1).joint_names == ("lift", "turn", "bend", "roll")

@@ -1,11 +1,16 @@
 """Names in a model file: xacro, links called world, and repeated names."""
 
+import importlib.util
+import re
+
 import mujoco
 import numpy as np
 import pytest
 
 import htcp_jax
 from htcp_jax.cli import main
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots import model_files
 from htcp_jax.io.robots.vendor_import import import_robot
 
 BALL = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
@@ -126,31 +131,69 @@ MACRO = '<xacro:macro name="arm" params="prefix"><link name="${prefix}base"/></x
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 
 
-EXPAND = {
-    "my arm.urdf.xacro": "xacro 'my arm.urdf.xacro' > arm.urdf "
-    "(without ROS: pip install xacrodoc; xacrodoc 'my arm.urdf.xacro' --pkg-dir FOLDER -o arm.urdf)",
-    "arm.urdf": "xacro arm.urdf > expanded.urdf "
-    "(without ROS: pip install xacrodoc; xacrodoc arm.urdf --pkg-dir FOLDER -o expanded.urdf)",
-}
+EXPAND = {"my arm.urdf.xacro": "xacro 'my arm.urdf.xacro' > arm.urdf", "arm.urdf": "xacro arm.urdf > expanded.urdf"}
+
+
+@pytest.fixture
+def no_xacrodoc(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "xacrodoc" else find(name))
 
 
 @pytest.mark.parametrize("file", EXPAND)
-def test_a_xacro_file_is_refused_with_the_command_that_expands_it(tmp_path, capsys, monkeypatch, file):
+def test_without_the_extra_a_xacro_file_is_refused_with_the_command_that_expands_it(
+    tmp_path, capsys, monkeypatch, no_xacrodoc, file
+):
     """By its suffix, or by its elements; the command does not write over the file."""
     monkeypatch.chdir(tmp_path)
     macro = "" if "xacro" in file else MACRO
     (tmp_path / file).write_text(urdf("base", "a", "b", "c", before=macro).replace("<robot", f"<robot {XACRO}"))
     assert main(["robot", file, "--out", "arm.xml"]) == 2
-    assert capsys.readouterr().err == f"htcp: {file}: a xacro file; expand it first: {EXPAND[file]}\n"
+    needs = """reading it needs the extra "xacro": pip install 'htcp_jax[xacro]'; or expand it first"""
+    assert capsys.readouterr().err == f"htcp: {file}: a xacro file; {needs}: {EXPAND[file]}\n"
     assert [each.name for each in tmp_path.iterdir()] == [file]
 
 
-def test_an_srdf_file_may_be_a_xacro_file_too(tmp_path, capsys):
+def test_an_srdf_file_may_be_a_xacro_file_too(tmp_path, capsys, no_xacrodoc):
     (tmp_path / "arm.urdf").write_text(urdf("base", "a", "b", "c"))
     (tmp_path / "arm.srdf.xacro").write_text(f'<robot name="r" {XACRO}/>')
     words = ["--srdf", str(tmp_path / "arm.srdf.xacro"), "--out", str(tmp_path / "arm.xml")]
     assert main(["robot", str(tmp_path / "arm.urdf"), *words]) == 2
     assert f"expand it first: xacro {tmp_path / 'arm.srdf.xacro'} > arm.srdf" in capsys.readouterr().err
+
+
+@pytest.fixture
+def macros(tmp_path):
+    """A xacro file of a package, whose macro is in another package in the same folder, which is not named in ROS."""
+    pytest.importorskip("xacrodoc", reason="the extra `xacro` is not installed")
+    for name in ("arm_description/urdf", "parts"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "parts/j.xacro").write_text(f'<robot {XACRO}><xacro:property name="top" value="${{1 + 1}}"/></robot>')
+    text = urdf("base", "a", "b", "c", before='<xacro:include filename="$(find parts)/j.xacro"/>')
+    file = tmp_path / "arm_description/urdf/arm.xacro"
+    file.write_text(text.replace("<robot", f"<robot {XACRO}").replace('upper="1"', 'upper="${top}"'))
+    return file
+
+
+def test_a_xacro_file_is_expanded_with_the_packages_near_it(macros, tmp_path):
+    arm = import_robot(macros)
+    assert arm.joint_names == ("j1", "j2", "j3") and arm.model.jnt_range[:, 1].tolist() == [2.0] * 3
+    assert model_files(macros) == {macros, tmp_path / "parts/j.xacro"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("find parts", "find lost", "no package 'lost' in "),
+        ("find parts", "arg side", "xacro refuses it: Undefined substitution argument side"),
+        ("${top}", "${open('a')}", "xacro refuses it: name 'open' is not defined"),
+    ],
+)
+def test_a_xacro_file_that_cannot_be_expanded_is_refused_in_one_line(macros, old, new, message):
+    macros.write_text(macros.read_text().replace(old, new))
+    with pytest.raises(InputError, match=re.escape(f"{macros}: {message}")) as caught:
+        import_robot(macros)
+    assert "\n" not in str(caught.value)
 
 
 def test_an_expanded_file_may_still_declare_xacro(tmp_path):

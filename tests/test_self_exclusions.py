@@ -21,6 +21,7 @@ from htcp_jax.clearance.obstacles.self_exclusions import NEAR_M, candidates, dis
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import LinkMeshes
+from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.vendor_import import import_robot
@@ -323,8 +324,8 @@ def test_an_srdf_excludes_bodies(imported, tmp_path):
 def test_elements_of_an_srdf_that_are_not_used_are_named(tmp_path):
     text = SRDF.format("shelf", "a", "d").replace("</", '<disable_default_collisions link="b"/></')
     (tmp_path / "shelf.srdf").write_text(text)
-    with pytest.warns(Note, match="<disable_default_collisions> ignored: only <disable_collisions> excludes pairs"):
-        assert disabled_pairs(tmp_path / "shelf.srdf", "shelf", "abcd") == [("a", "d")]
+    with pytest.warns(Note, match="shelf.srdf: not used: <disable_default_collisions>$"):
+        assert disabled_pairs(tmp_path / "shelf.srdf", "shelf", "abcd", Ledger()) == [("a", "d")]
 
 
 @pytest.mark.parametrize(

@@ -265,7 +265,6 @@ REFUSED = {
         arm().replace('<sphere radius="0.1"/>', '<mesh filename="a.stl" scale="0.001"/>', 1),
         "link 'base': <mesh scale='0.001'> is not 3 numbers",
     ),
-    "an expression of xacro's": (arm().replace('"0 0 0.3"', '"0 0 ${height}"', 1), "a xacro file; expand it first"),
 }  # fmt: skip
 
 
@@ -319,7 +318,7 @@ def test_an_element_that_is_not_read_is_named(tmp_path, case):
     content, named = NAMED[case]
     text = arm(content).replace('<origin xyz="0 0 0.3"/>', "") if "<origin" in content else arm(content)
     for read in readings(tmp_path, text):
-        with pytest.warns(UserWarning, match=re.escape(f"ignored, as it is not part of a URDF: {named}") + "$"):
+        with pytest.warns(UserWarning, match=re.escape(f"not used: {named}") + "$"):
             read()
 
 
@@ -341,3 +340,57 @@ def test_an_axis_that_is_no_unit_vector_is_named(tmp_path):
     with pytest.warns(Note, match="the length of the <axis> of shoulder is not 1"):
         robot = loaded(tmp_path, text)
     np.testing.assert_array_equal(robot.axis, loaded(tmp_path, arm()).axis)
+
+
+def test_an_impossible_inertia_is_named_and_does_not_matter_to_poses(tmp_path):
+    inertia = '<inertial><mass value="1"/><inertia ixx="1" ixy="2" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    own = {"inertia": arm().replace('<link name="lower">', f'<link name="lower">{inertia}'), "none": arm()}
+    found = {}
+    for name, text in own.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found[name] = loaded(tmp_path, text), import_robot(tmp_path / "arm.urdf", "hand").massive
+        named = "masses of bodies whose inertia has a negative eigenvalue are not used: lower"
+        assert [str(each.message).endswith(named) for each in caught] == ([True] * 2 if name == "inertia" else [])
+    for field in ("T_parent_joint", "axis", "lower", "upper"):
+        np.testing.assert_array_equal(*(getattr(robot, field) for robot, _ in found.values()))
+    assert found["inertia"][1] == ()
+
+
+UNUSED = {  # text of the file, and what the ledger counts and names
+    "a picture of a link": ('<visual><geometry><box size="1 1 1"/></geometry></visual>', "<visual> 1", None),
+    "a prefix of another program": ("<klampt:x/>", "<klampt:x> 1", None),
+    "a misspelt element": ("<colision/>", "<colision> 1", "not used: <colision> of link 'hand'"),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_the_ledger_counts_what_is_not_used_and_names_what_is_not_harmless(tmp_path, case):
+    text, counted, named = UNUSED[case]
+    read = readings(tmp_path, arm().replace('<link name="hand">', f'<link name="hand">{text}'))[1]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert read().unused == (counted,)
+    found = [str(each.message).removeprefix(f"{tmp_path / 'arm.urdf'}: ") for each in caught]
+    assert found == ([named] if named else [])
+
+
+def test_the_ledger_of_an_mjcf_file_names_soft_bodies_and_limits_of_motors(tmp_path):
+    body = '<geom size="0.1"/>'
+    for name in "cba":
+        body = f'<body name="{name}" pos="0 0 0.3"><joint name="j{name}" range="-1 1" damping="2"/>{body}</body>'
+    rest = '<deformable><skin name="s" file="a.skn"/></deformable><keyframe/>'
+    rest += '<actuator><motor joint="ja" forcerange="-9 9"/></actuator>'
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>")
+    with pytest.warns(UserWarning, match=r"arm.xml: not used: 'forcerange' in <actuator>, <deformable>$"):
+        unused = import_robot(tmp_path / "arm.xml", "c").unused
+    counts = ["'damping' in <joint> 3", "<actuator> 1", "<deformable> 1", "<keyframe> 1", "<skin> 1"]
+    assert sorted(unused) == sorted(["'forcerange' in <actuator> 1", *counts])
+
+
+def test_verbose_lists_the_ledger(tmp_path, capsys):
+    (tmp_path / "arm.urdf").write_text(arm().replace("</robot>", '<material name="a"/><material name="b"/></robot>'))
+    words = ["robot", str(tmp_path / "arm.urdf"), "--tcp", "hand", "--out", str(tmp_path / "arm.xml"), "--replace"]
+    assert main(words) == 0 and "not used" not in capsys.readouterr().out
+    assert main([*words, "--verbose"]) == 0
+    assert "not used            <material> 2" in capsys.readouterr().out

@@ -71,6 +71,9 @@ Limits = Annotated[
     ),
 ]
 Replace = Annotated[bool, typer.Option("--replace", help="Overwrite existing files.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="List all elements and attributes of the model that are not used.")
+]
 
 
 def robot(
@@ -85,6 +88,7 @@ def robot(
     fix: Fix = None,
     limits: Limits = None,
     replace: Replace = False,
+    verbose: Verbose = False,
     as_json: Json = False,
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
@@ -110,7 +114,7 @@ def robot(
       htcp robot arm.urdf --limits joint_limits.yaml --out arm.xml
     """
     options = {"most": most, "visual": visual, "srdf": srdf, "omit": omit or (), "limits": limits}
-    return convert(model, out, fix or (), fit_tolerance, replace, as_json, tcp=tcp, **options)
+    return convert(model, out, fix or (), fit_tolerance, replace, as_json, verbose, tcp=tcp, **options)
 
 
 def convert(
@@ -120,6 +124,7 @@ def convert(
     fit_tolerance: str | None,
     replace: bool,
     as_json: bool,
+    verbose: bool = False,
     **options: Any,
 ) -> int:
     """Import a model, write it with its picture, and print its bodies and joints.
@@ -131,6 +136,7 @@ def convert(
         fit_tolerance: Value of --fit-tolerance, with its unit; None if it is not set.
         replace: True overwrites existing files.
         as_json: True prints JSON instead of a table.
+        verbose: True lists all elements and attributes that are not used.
         **options: Arguments passed on to `robots.import_robot`.
 
     Returns:
@@ -165,6 +171,8 @@ def convert(
         _robot_table(arm),
         _robot_facts(arm, made) | {"self-collision": own.described(made) if own else "no pairs to check"},
     )
+    if verbose:
+        facts["not used"] = arm.unused
     if as_json:
         print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
         return 0

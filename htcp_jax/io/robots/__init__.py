@@ -3,9 +3,10 @@
 `load_robot` reads an arm from a model file, MJCF or URDF; `gp50` loads the built-in arm. `model_file` compiles such a
 file with MuJoCo and extracts the chain to the TCP, see `chain`; `mujoco_models` compiles, and looks up names, texts and
 numbers. `safe_xml` refuses harmful files before MuJoCo reads them.
-`urdf_elements` names unknown elements of a URDF, `urdf_joints` checks its tree and writes the ranges
-that hold; `remarks` turns what concerns the chain into messages. `joint_limits` reads limits from another file.
-`followers` finds the joints that follow others, `constraints` the loops and tendons of an MJCF file, which are refused.
+`urdf_elements` finds unknown elements of a URDF, `ledger` counts and names what is not used, `urdf_joints` checks the
+tree of a URDF and writes the ranges that hold; `remarks` turns what concerns the chain into messages. `followers` finds
+the joints that follow others, `constraints` the loops and tendons of an MJCF file, which are refused. `joint_limits`
+reads limits from another file.
 
 `model_source` has the types for the file or files of an arm or a cell, and `composed` reads several files as one tree.
 

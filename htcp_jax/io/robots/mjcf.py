@@ -188,7 +188,8 @@ def _add_capsules(body: Element, cover: BodyCover | None) -> None:
     for name, capsule in cover.own.items():
         _add_capsule_element(body, name, capsule)
     if cover.fitted:
-        body.append(_comment(f" about {shapes_label(cover)}, {cover.ratio:.2f} times its hull "))
+        ratio = "flat" if np.isnan(cover.ratio) else f"{cover.ratio:.2f} times its hull"
+        body.append(_comment(f" about {shapes_label(cover)}, {ratio} "))
     for name, capsule in cover.fitted.items():
         _add_capsule_element(body, name, capsule)
 

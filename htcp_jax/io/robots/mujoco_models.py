@@ -11,6 +11,8 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 
+LEAST_EIGENVALUE = 1e-14  # MuJoCo refuses an inertia with a smaller one, negated [kg m2]
+
 
 @contextmanager
 def no_log() -> Iterator[None]:
@@ -35,6 +37,17 @@ def set_massless(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = False  # keep the fixed links of a URDF, as the TCP may be one of them
     spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9
     spec.compiler.balanceinertia = True
+
+
+def forget_impossible_inertias(spec: mujoco.MjSpec) -> list[str]:
+    """Remove masses and inertias with a negative eigenvalue, which MuJoCo refuses, and return the bodies' names."""
+    found = []
+    for body in spec.bodies:
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        if np.linalg.eigvalsh(np.nan_to_num([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))[0] < -LEAST_EIGENVALUE:
+            body.explicitinertial, body.mass, body.fullinertia = False, 0.0, [math.nan, 0, 0, 0, 0, 0]
+            found.append(body.name)
+    return found
 
 
 def compile_unchecked(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:

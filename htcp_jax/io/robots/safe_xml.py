@@ -9,18 +9,20 @@ these before MuJoCo opens them.
 
 import math
 import re
-import shlex
+import warnings
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 import mujoco
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import constraints, remarks
-from htcp_jax.io.robots.mujoco_models import no_log, unreadable_model
+from htcp_jax.io.robots.ledger import Ledger
+from htcp_jax.io.robots.mujoco_models import forget_impossible_inertias, no_log, unreadable_model
 from htcp_jax.io.robots.urdf_elements import check_elements, read_elements
 from htcp_jax.io.robots.urdf_joints import WORLD, UrdfJoints, check_tree, read_joints, refuse_repeated_names
+from htcp_jax.io.robots.xacro_file import expand
 from htcp_jax.system import opened
 
 LARGEST_FILE = 10 * 2**20  # [bytes]
@@ -33,8 +35,15 @@ LEFT_OUT = {
     "material", "mesh", "option", "plugin", "sensor", "size", "skin", "statistic", "tendon", "text", "texture", "tuple",
     "visual",
 }  # fmt: skip
+# Attributes of dynamics, contacts and pictures, which are only counted; MuJoCo refuses what it does not know.
+HARMLESS = {
+    "actuatorgravcomp", "armature", "condim", "damping", "density", "friction", "frictionloss", "gravcomp", "margin",
+    "material", "priority", "rgba", "solimp", "solimpfriction", "solimplimit", "solmix", "solref", "solreffriction",
+    "solreflimit", "springdamper", "springref", "stiffness", "user",
+}  # fmt: skip
 MESHES = "asset", "mesh"  # kept if meshes are requested
 CONTACTS = "contact", "text", "tuple"  # excluded pairs, an arm's own list, and the part's link; kept if requested
+UNUSED = "not used"  # name of the text that lists what was not used
 # Names of an arm's own texts: its list, the part's link, the vendor's model, a capsule's cuts.
 LIST, PART, MADE_FROM, CUTS = "self_collision", "link of the part", "made from", "cuts of "
 OMITTED = "moving links without capsules"  # name of the text that lists them
@@ -87,24 +96,24 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
 
     Raises:
         InputError: For a file that cannot be read or is too large, for an included file outside its folder, for a xacro
-            file, for repeated names of links and joints, for a URDF whose elements or joints are damaged, and for a
-            misplaced element that would be removed.
+            file that cannot be expanded, for repeated names of links and joints, for a URDF whose elements or joints
+            are damaged, and for a misplaced element that would be removed.
     """
-    root = parse(path)
-    refuse_xacro(root, path)
+    root, ledger = parse_model(path), Ledger()
     _put_includes_in_place(root, path, {path.resolve()})
     _rename_world(root)
     refuse_repeated_names(root, path)
     joints, bodies = UrdfJoints({}, {}, {}), {}
     if root.tag == "robot":
-        check_elements(root, path, visual)
+        check_elements(root, path, visual, ledger)
         check_tree(root, path)
         joints = read_joints(root, path)
     elif root.tag == "mujoco":
         of_joints, bodies = constraints.tendon_remarks(root)
         joints = UrdfJoints({}, of_joints, {})
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
-        _leave_out(root, path, LEFT_OUT - kept)
+        _leave_out(root, path, LEFT_OUT - kept, ledger)
+    ledger.warn(path)
     if visual and root.tag == "robot":
         ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", discardvisual="false")
     text = ElementTree.tostring(root, encoding="unicode")
@@ -119,6 +128,11 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
                 value
             )
         remarks.add_remarks(spec, joints.remarks, bodies)
+        if unused := ledger.lines():
+            spec.add_text(name=UNUSED, data="\n".join(unused))
+        if odd := forget_impossible_inertias(spec):
+            text = "masses of bodies whose inertia has a negative eigenvalue are not used"
+            warnings.warn(f"{path}: {text}: {remarks.listed(odd)}", Note, stacklevel=4)
         return spec
     except (ValueError, mujoco.FatalError) as error:
         raise unreadable_model(path, error) from None
@@ -130,29 +144,34 @@ def model_files(path: Path) -> set[Path]:
     Raises:
         InputError: As `read_spec` does.
     """
-    seen = {path.resolve()}
-    _put_includes_in_place(parse(path), path, seen)
+    seen, root = {path.resolve()}, parse(path)
+    if _is_xacro(root, path):
+        return seen | expand(path).included
+    _put_includes_in_place(root, path, seen)
     return seen
 
 
-def refuse_xacro(root: ElementTree.Element, path: Path, ending: str = ".urdf") -> None:
-    """Refuse a file that xacro has not expanded; an expanded file may still declare the prefix xacro.
+def parse_model(path: Path, kind: str = "a model that MuJoCo can read", ending: str = ".urdf") -> ElementTree.Element:
+    """Return the root of an XML file, which is expanded if it is a xacro file, see `xacro_file`.
 
     Args:
-        root: Root of the file.
         path: The file.
-        ending: Ending of the expanded file, for the message.
+        kind: Name of its kind, for the message about a damaged file.
+        ending: Ending of the expanded file, for messages.
 
     Raises:
-        InputError: For such a file, with the command that expands it.
+        InputError: As `parse` and `xacro_file.expand` do.
     """
+    root = parse(path, kind)
+    return _parsed(expand(path, ending).text.encode(), _Builder(path)) if _is_xacro(root, path) else root
+
+
+def _is_xacro(root: ElementTree.Element, path: Path) -> bool:
+    """Return True for a file that xacro has not expanded; an expanded file may still declare the prefix xacro."""
     is_unexpanded = any(each.tag.startswith("xacro:") for each in root.iter()) or any(
         map(_has_macro, read_elements(root))
     )
-    if path.suffix.lower() == ".xacro" or is_unexpanded:
-        made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
-        without = f"without ROS: pip install xacrodoc; xacrodoc {shlex.quote(str(path))} --pkg-dir FOLDER -o {made}"
-        raise InputError(f"{path}: a xacro file; expand it first: xacro {shlex.quote(str(path))} > {made} ({without})")
+    return path.suffix.lower() == ".xacro" or is_unexpanded
 
 
 def _has_macro(element: ElementTree.Element) -> bool:
@@ -255,7 +274,9 @@ def _included(include: ElementTree.Element, path: Path, own: Path) -> Path:
     return file
 
 
-def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> None:
+def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger: Ledger) -> None:
+    if any("forcerange" in each.attrib for each in root.iter()):
+        ledger.name("'forcerange' in <actuator>")
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in REFUSED:
@@ -263,10 +284,12 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str]) -> Non
             if child.tag not in VALID.get(parent.tag, (child.tag,)):
                 valid = ", ".join(sorted(VALID[parent.tag]))
                 raise InputError(f"{path}: <{child.tag}> is not valid in <{parent.tag}>; valid: {valid}")
-            if child.tag in unwanted or child.tag not in ONLY.get(parent.tag, (child.tag,)):
+            is_text = child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", ""))
+            if child.tag in unwanted or is_text or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
-            elif child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", "")):
-                parent.remove(child)
+                (ledger.name if child.tag == "deformable" else ledger.count)(f"<{child.tag}>")
+        for name in HARMLESS.intersection(parent.attrib):
+            ledger.count(f"{name!r} in <{parent.tag}>")
         parent.attrib.pop("material", None)
     for numeric in root.iter("numeric"):
         if not numeric.get("size", "0").strip().isdigit() or int(numeric.get("size", "0")) > LARGEST_NUMERIC:

@@ -177,8 +177,8 @@ def _taken(geom: mujoco.MjsGeom) -> Geom:
 def _find(name: str, path: Path, folders: list[str]) -> Path:
     """Find a mesh file of the model at `path`.
 
-    It is searched next to the model, in the model's mesh folders, and for a ROS package from the model's folder
-    upwards.
+    It is searched next to the model, in the model's mesh folders, in the folder above, which contains urdf/ and meshes/
+    in a ROS package, and for `package://` from the model's folder upwards.
 
     Raises:
         InputError: If the file does not exist.
@@ -190,7 +190,8 @@ def _find(name: str, path: Path, folders: list[str]) -> Path:
         places = [folder / part for folder in (home, *home.parents) for part in (rest, inner)]
         missing = f"no package {package!r} with {inner} in {home} or above it; put it into one of these folders"
     else:
-        places = [home / folder / rest for folder in folders] + [home / folders[0] / Path(rest).name]
+        places = [home / folder / rest for folder in folders]
+        places += [home / folders[0] / Path(rest).name, home.parent / rest]
         missing = f"no such file in {home / folders[0]}"
     for place in places:
         if place.is_file():

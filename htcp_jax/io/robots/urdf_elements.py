@@ -1,11 +1,10 @@
 """Elements and attributes of a URDF that are read.
 
-One pass over the tree refuses elements that are missing, repeated or malformed, and names all others in one warning, so
-that a misspelt or misplaced element is noticed. Elements for simulators, controllers and pictures are not named.
+One pass over the tree refuses elements that are missing, repeated or malformed, and adds all others to a ledger, so
+that a misspelt or misplaced element is noticed.
 """
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots.ledger import Ledger, short
 
 # Elements that change neither geometry nor kinematics nor limits, as elements of other programs with a prefix (a:b).
 HARMLESS = {
@@ -23,7 +23,6 @@ HARMLESS = {
 # Elements with a prefix that do change them; each is named.
 NOT_HARMLESS = {"drake:capsule", "drake:ellipsoid", "drake:joint", "drake:mimic", "drake:screw_thread_pitch"}
 SHAPES = "box", "capsule", "cylinder", "mesh", "sphere"
-MOST_NAMED, MOST_OWNERS, LONGEST = 8, 4, 60  # bounds of the warning: kinds of elements, names for each, characters
 
 
 class _Rule(NamedTuple):
@@ -68,6 +67,10 @@ _CONTENT = {
     "sphere": _rule("", "radius:1!"),
 }
 _CONTENT["limit"].numbers["drake:acceleration"] = 1  # the one attribute with a prefix that is read
+_WITHOUT_EFFECT = {  # attributes
+    ("robot", "version"), ("link", "type"), ("joint", "dont_collapse"), ("safety_controller", "k_position"),
+    ("safety_controller", "k_velocity"),
+}  # fmt: skip
 _INFINITE = "limit", "safety_controller"  # elements in which a number may be infinite
 
 
@@ -79,39 +82,22 @@ def read_elements(root: Element) -> Iterator[Element]:
             yield from read_elements(child)
 
 
-def check_elements(root: Element, path: Path, visual: bool) -> None:
+def check_elements(root: Element, path: Path, visual: bool, ledger: Ledger) -> None:
     """Check the elements and attributes of a URDF.
-
-    A warning names elements, attributes and text that are not read, unless they are harmless.
 
     Args:
         root: The root, <robot>.
         path: The file, for messages.
         visual: True if the visual geometry is used although the file has collision geometry.
+        ledger: Ledger to which elements, attributes and text that are not used are added.
 
     Raises:
         InputError: For a missing, repeated or malformed element or attribute.
     """
-    unread: dict[str, list[str]] = {}
-    skipped = "" if visual or root.find("link/collision") is None else "visual"
-    _check(root, "", path, unread, skipped)
-    if unread:
-        shown = [f"{what}{_owners(names)}" for what, names in list(unread.items())[:MOST_NAMED]]
-        rest = f", and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
-        warnings.warn(f"{path}: ignored, as it is not part of a URDF: {', '.join(shown)}{rest}", stacklevel=4)
+    _check(root, "", path, ledger, "" if visual or root.find("link/collision") is None else "visual")
 
 
-def _owners(names: list[str]) -> str:
-    named = [*filter(None, names)]
-    return f" of {', '.join([*named[:MOST_OWNERS], *(['...'] if len(named) > MOST_OWNERS else [])])}" if named else ""
-
-
-def short(text: str) -> str:
-    """Return a text from a file, cut to a length that fits into a message."""
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-
-
-def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]], skipped: str) -> None:
+def _check(element: Element, owner: str, path: Path, ledger: Ledger, skipped: str) -> None:
     """Check an element of `_CONTENT` and its children; `owner` is the link or joint that contains it."""
     rule, tag = _CONTENT[element.tag], element.tag
     inside = f" in <{tag}>"
@@ -122,21 +108,29 @@ def _check(element: Element, owner: str, path: Path, unread: dict[str, list[str]
     if missing := [name for name in sorted(rule.required) if not element.get(name)]:
         raise InputError(f"{where} has no attribute {missing[0]!r}")
     for name, value in element.attrib.items():
+        if (tag, name) in _WITHOUT_EFFECT:
+            ledger.count(f"{name!r} in <{tag}>")
         if name in rule.numbers:
             _check_numbers(value, rule.numbers[name], f"{where[:-1]} {name}={short(value)!r}>", tag in _INFINITE)
-        elif ":" not in name and name != "xmlns":
-            unread.setdefault(f"{short(name)!r}{inside}", []).append(owner)
+        elif ":" in name or name == "xmlns":
+            ledger.count(name.partition(":")[0] + ":...")
+        else:
+            ledger.name(f"{short(name)!r}{inside}", owner)
     texts = " ".join(filter(None, map(str.strip, [element.text or "", *(child.tail or "" for child in element)])))
     if texts:
-        unread.setdefault(f"text {short(texts)!r}{inside}", []).append(owner)
+        ledger.name(f"text {short(texts)!r}{inside}", owner)
     for child in element:
         if child.tag not in rule.children:
             if not _is_harmless(child):
-                unread.setdefault(f"<{short(child.tag)}>{inside}", []).append(owner)
+                ledger.name(f"<{short(child.tag)}>{inside}", owner)
             elif _limits_commands(child):
-                unread.setdefault("limits in <ros2_control>", []).append("")
-        elif child.tag in _CONTENT and child.tag != skipped:
-            _check(child, owner, path, unread, skipped)
+                ledger.name("limits in <ros2_control>")
+            else:
+                ledger.count(f"<{child.tag}>")
+        elif child.tag == skipped:
+            ledger.count(f"<{child.tag}>")
+        elif child.tag in _CONTENT:
+            _check(child, owner, path, ledger, skipped)
 
 
 def _check_children(element: Element, rule: _Rule, where: str) -> None:

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.joint_limits import UNLIMITED
-from htcp_jax.io.robots.urdf_elements import short
+from htcp_jax.io.robots.ledger import short
 
 WORLD = "world"  # MuJoCo's own body 0; a URDF's root link may have this name
 TYPES = "revolute", "continuous", "prismatic", "fixed", "floating", "planar"

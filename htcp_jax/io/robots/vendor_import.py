@@ -29,6 +29,7 @@ from htcp_jax.io.robots.constraints import check_loops, moved_bodies, omit_text
 from htcp_jax.io.robots.fixed_joints import fix_followers, fix_joints
 from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
+from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import (
     body_name,
     compile_spec,
@@ -36,10 +37,11 @@ from htcp_jax.io.robots.mujoco_models import (
     joint_name,
     massive_bodies,
     model_name,
+    text_of,
     upwards,
 )
 from htcp_jax.io.robots.remarks import OF_IMPORT
-from htcp_jax.io.robots.safe_xml import read_spec
+from htcp_jax.io.robots.safe_xml import UNUSED, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
 from htcp_jax.io.robots.stored_pieces import StoredPiece, reduced_piece
@@ -72,12 +74,10 @@ class BodyCover(NamedTuple):
     def ratio(self) -> float:
         """Volume of the fitted capsules' union, divided by the volume of the convex hull of `enclosed`.
 
-        nan if nothing was fitted.
+        nan if nothing was fitted, and if all shapes are flat.
         """
-        if not self.fitted:
-            return np.nan
-        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3))
-        return close_fit.union_volume(list(self.fitted.values())) / hull
+        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else 0.0
+        return close_fit.union_volume(list(self.fitted.values())) / hull if hull else np.nan
 
     @property
     def excess_m(self) -> float:
@@ -111,6 +111,7 @@ class ImportedArm(NamedTuple):
     visual: bool  # True if the capsules enclose visual geometry
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # pairs of bodies that an SRDF excludes from self-collision checks
+    unused: tuple[str, ...]  # elements and attributes that were not used, with their numbers, see `ledger`
     omitted: tuple[str, ...]  # links that followers or loops move and whose shapes were omitted
 
     @property
@@ -172,7 +173,8 @@ def import_robot(
     root = 0 if part is None else find_link(model, path, part, _robot_bodies(model, ()), "--part")
     bodies = _robot_bodies(model, (*upwards(model, tip.body), *upwards(model, root)))
     omitted = {find_link(model, path, name, bodies, "--omit") for name in omit}
-    disabled = disabled_pairs(srdf, model_name(model), [body_name(model, b) for b in bodies]) if srdf else ()
+    names, in_srdf = [body_name(model, b) for b in bodies], Ledger()
+    disabled = disabled_pairs(srdf, model_name(model), names, in_srdf) if srdf else ()
     chain = _moving_chain(model, path, root, tip, values)
     chain = with_side_branches(model, path, chain, values, bodies)
     joints = chain.joints
@@ -208,6 +210,7 @@ def import_robot(
         visual=visual,
         shapeless=tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         disabled=tuple(disabled),
+        unused=(*(text_of(model, UNUSED) or "").splitlines(), *in_srdf.lines()),
         omitted=tuple(body_name(model, b) for b in hidden),
     )
 
