@@ -133,24 +133,26 @@ def test_proven_edges_are_clear_at_all_places_and_refuted_ones_collide_where_the
     assert len(np.unique(bare.verdict)) == 2
 
 
-def test_the_bare_tip_of_a_long_path_passes_through_no_triangle_between_the_first_places():
-    """Check a swing in free air across a triangle of 2 mm, halfway between two of the first 100 places."""
+def test_the_bare_tip_of_a_long_path_passes_through_no_triangle_at_any_place():
+    """Check a swing in free air across triangles: between two of the first 100 places, and at both ends' next place."""
     scenario, x = one()
     pose, no_interior = np.array(scenario.T_world_workpiece), np.array([0, 0, 0, 1e3])
     pose[2, 3] += 10
     far = replace(scenario, T_world_workpiece=pose, interior_plane=no_interior)
     inputs = lane_inputs(stack([far]), np.zeros(1, int), np.zeros(1, int))
-    a, b = x[None], x[None] + [0.8, 0, 0, 0, 0, 0]
-    where = place(86)[0]._replace(T_world_workpiece=jnp.asarray(pose))
-    tip = np.asarray(in_workpiece(where, tip_segment(made_once.robot(), jnp.asarray(x + 0.505 * (b - a)[0]))))
-    along = (tip[1] - tip[0]) / np.linalg.norm(tip[1] - tip[0])
-    u = np.cross(along, [0, 0, 1]) / np.linalg.norm(np.cross(along, [0, 0, 1]))
-    triangle = tip.mean(axis=0) + 1e-3 * np.array([u, np.cross(along, u), -u - np.cross(along, u)])
+    where, count = place(86)[0]._replace(T_world_workpiece=jnp.asarray(pose)), 2665  # count * (PLACES / count) > PLACES
+    swing = (count - 0.5) * TIP_STEP_M / tip_bounds(made_once.robot()).speeds[0]
+    a, b = x[None], x[None] + swing * np.eye(6)[:1]
     large = 100 + np.eye(3)  # far away; without it the search would cut the tip into pieces of micrometres
-    for offset, free in ((0, False), (0.1 * along, True)):
-        wall = TipGuard(WallTriangles(np.stack([triangle + offset, large])), 0.0)
-        guarded = CollisionChecker(checker().executor, Settings(), wall)
-        assert guarded.path_clear(inputs, a, b).tolist() == [free]
+    for share, size in ((0.505, 1e-3), (1 / count, 1e-5), ((count - 1) / count, 1e-5)):
+        tip = np.asarray(in_workpiece(where, tip_segment(made_once.robot(), jnp.asarray(x + share * (b - a)[0]))))
+        along = (tip[1] - tip[0]) / np.linalg.norm(tip[1] - tip[0])
+        u = np.cross(along, [0, 0, 1]) / np.linalg.norm(np.cross(along, [0, 0, 1]))
+        triangle = tip.mean(axis=0) + size * np.array([u, np.cross(along, u), -u - np.cross(along, u)])
+        for offset, free in ((0, False), (0.1 * along, True)):
+            wall = TipGuard(WallTriangles(np.stack([triangle + offset, large])), 0.0)
+            guarded = CollisionChecker(checker().executor, Settings(), wall)
+            assert guarded.path_clear(inputs, a, b).tolist() == [free]
 
 
 def test_walls_beyond_the_tip_s_travel_are_those_that_no_place_passes_through():

@@ -189,6 +189,20 @@ def test_no_body_extends_beyond_its_reach(arm):
     assert (furthest[moves] <= bound[moves]).all() and (bound[~moves] == -np.inf).all()
 
 
+def test_the_tip_stays_within_the_bounds_on_its_motion(arm):
+    """Straight joint paths of all lengths, five places each: travel, and distance from the line between both ends."""
+    bounds, rng, share = kinematics.tip_bounds(arm.robot), np.random.default_rng(1), np.linspace(0, 1, 5)[:, None, None]
+    slides = np.array(arm.robot.slides)
+    a = np.where(slides, np.clip(arm.xs[:200], arm.robot.lower, arm.robot.upper), arm.xs[:200])
+    b = a + rng.normal(size=a.shape) * 10.0 ** rng.uniform(-3, 0, (200, 1))
+    b[:, slides] = rng.permutation(a[:, slides])
+    at = np.asarray(found_by(arm.robot, (a + share * (b - a)).reshape(-1, a.shape[1])).tcp).reshape(5, 200, 3)
+    turned, longer = np.abs(b - a), np.zeros(200)
+    bulge = np.linalg.norm(at - (at[0] + share * (at[-1] - at[0])), axis=2).max(axis=0)
+    assert (np.linalg.norm(at - at[0], axis=2).max(axis=0) <= bounds.travel_m(turned, longer)).all()
+    assert (bulge <= bounds.bulge_m(turned, longer)).all() and (bulge > 0.03 * bounds.bulge_m(turned, longer)).any()
+
+
 @pytest.mark.parametrize("arm", ["gp50"], indirect=True)
 def test_mjx_agrees(arm):
     """Compare with site and geoms of MJX, MuJoCo's port to JAX."""

@@ -83,6 +83,24 @@ class TipBounds(NamedTuple):
         """Return by how much each of the chain's joints moves on straight joint paths [rad or m]."""
         return np.abs(step if self.factors is None else step @ self.factors.T)
 
+    def travel_m(self, turned: Float[np.ndarray, "n N"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return bounds on the travel of the tip's points along straight joint paths [m].
+
+        Args:
+            turned: Travel of each joint [rad or m].
+            longer_m: Absolute value of the tool's extension [m].
+        """
+        return turned @ self.speeds + longer_m * turned.sum(axis=1)
+
+    def bulge_m(self, turned: Float[np.ndarray, "n N"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return bounds on the distance of the tip's points from the lines between their positions at both ends [m].
+
+        The second derivative of a point by two joints is at most its speed by the outer one. Arguments as in
+        `travel_m`.
+        """
+        outer = np.maximum.accumulate(self.speeds[::-1])[::-1]
+        return turned.sum(axis=1) * self._replace(speeds=outer).travel_m(turned, longer_m) / 8
+
 
 def tip_bounds(robot: Robot) -> TipBounds:
     """Return bounds on the motion of the bare tip, see `tip_segment`.

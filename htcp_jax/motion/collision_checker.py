@@ -33,7 +33,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
 
 PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
-BLOCK = 10  # number of these intervals that are discarded together
+BLOCK = 10  # number of these intervals that are excluded together
 TIP_STEP_M = 0.5e-3  # largest travel of the tip within such an interval
 
 Configurations = Float[np.ndarray, "n N"]
@@ -115,8 +115,8 @@ class CollisionChecker:
             resolution_m: The proof is D > -resolution_m, see `query_on`.
             deepest: Maximum number of halvings, see `query_on`.
             tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most
-                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION. Where
-                all walls are farther than the tip can travel, the configurations are not measured.
+                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION.
+                Configurations at which bounds on the tip's motion exclude this are not measured.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
@@ -143,45 +143,38 @@ class CollisionChecker:
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
         """Return True for paths marked by `among` whose bare tip does not pass through a wall, see `edges`.
 
-        Places are not measured if the tip is farther from all walls, at a place before or after, than it can travel.
+        Paths are divided into shorter and shorter intervals. Intervals within which the tip passes through no wall need
+        no further places: its ends stay near the chords between their positions at the interval's ends.
         """
         good = np.array(among)
         if self._guard is None or not good.any():
             return good
-        turned = self._tip.turned(b - a)
-        travel = turned @ self._tip.speeds + np.abs(inputs.tool_extension_m) * turned.sum(axis=1)  # at most [m]
+        moves = self._tip.turned(b - a), np.abs(inputs.tool_extension_m)
+        travel, bulge = self._tip.travel_m(*moves), self._tip.bulge_m(*moves)
         path = np.flatnonzero(good)
-        path, _ = self._near_walls(inputs, a, b, travel, path, np.zeros_like(path), PLACES)
-        path, first = np.repeat(path, PLACES // BLOCK), np.tile(np.arange(0, PLACES, BLOCK), len(path))
-        path, first = self._near_walls(inputs, a, b, travel, path, first, BLOCK)
-        path, place = np.repeat(path, BLOCK), (first[:, None] + np.arange(BLOCK)).ravel()
-        path, place = path[place > 0], place[place > 0]
-        if not len(path):
-            return good
-        tips = self._tips(inputs, a, b, path, place / PLACES)
-        good[path[self._guard.passes(tips[:, 0], tips[:, 1])]] = False
+        first = np.zeros_like(path)
+        for parts, places in ((1, PLACES), (PLACES // BLOCK, BLOCK), (BLOCK, 1)):
+            place = first[:, None] + places * np.arange(parts + 1)
+            tips = self._tips(inputs, a, b, np.repeat(path, parts + 1), place.ravel() / PLACES)
+            tips = tips.reshape(-1, parts + 1, 2, 3)
+            tips = np.stack([tips[:, :-1], tips[:, 1:]], axis=2).reshape(-1, 2, 2, 3)  # at both ends of each interval
+            path, first = np.repeat(path, parts), place[:, :-1].ravel()
+            near = self._guard.may_pass(tips, bulge[path] * (places / PLACES) ** 2, self._tip.is_rigid)
+            path, first, tips = path[near], first[near], tips[near]
+            if not len(path):
+                return good
+        for side in (0, 1):
+            inside = (first + side) % PLACES > 0
+            good[path[inside][self._guard.passes(tips[inside, side, 0], tips[inside, side, 1])]] = False
         counts = np.ceil(travel / TIP_STEP_M)
-        near = good[path] & (counts[path] > PLACES)
-        near[near] = self._guard.may_pass(tips[near, 0], tips[near, 1], travel[path[near]] / PLACES, self._tip.is_rigid)
-        path, place, counts = path[near], place[near], counts[path[near]]
-        begin = np.where(place == 1, 1, np.ceil((place - 0.5) * counts / PLACES))
-        end = np.where(place == PLACES - 1, counts, np.ceil((place + 0.5) * counts / PLACES))
+        path, first = (each[good[path] & (counts[path] > PLACES)] for each in (path, first))
+        counts = counts[path]
+        begin, end = np.maximum(np.ceil(first * counts / PLACES), 1), np.ceil((first + 1) * counts / PLACES)
         row, nth = ragged_rows((end - begin).astype(int))
         if len(row):
             tips = self._tips(inputs, a, b, path[row], (begin[row] + nth) / counts[row])
             good[path[row[self._guard.passes(tips[:, 0], tips[:, 1])]]] = False
         return good
-
-    def _near_walls(
-        self, inputs: LaneInputs, a: Configurations, b: Configurations, travel, path, first, places: int
-    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return the blocks of `places` places, by path and first place, in which the tip may pass through a wall."""
-        if not len(path):
-            return path, first
-        tips = self._tips(inputs, a, b, path, (first + places / 2) / PLACES)
-        farthest = travel[path] * (places + 1) / 2 / PLACES  # to half an interval before and after the block
-        near = self._guard.may_pass(tips[:, 0], tips[:, 1], farthest, self._tip.is_rigid)
-        return path[near], first[near]
 
     def _tips(
         self, inputs: LaneInputs, a: Configurations, b: Configurations, path: Int[np.ndarray, "m"], share: np.ndarray

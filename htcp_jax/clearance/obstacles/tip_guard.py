@@ -97,32 +97,46 @@ class TipGuard:
 
         Most tips are excluded together with their neighbours, so consecutive tips should be close to each other.
         """
-        end = p + self._shortened(p, q)[1]
+        rows = np.minimum(np.arange(-(-len(p) // NEIGHBOURS) * NEIGHBOURS), len(p) - 1)
+        groups = np.stack([p, q], axis=1)[rows].reshape(-1, NEIGHBOURS, 2, 3)
+        tip = np.flatnonzero(np.repeat(self.may_pass(groups), NEIGHBOURS)[: len(p)])
+        end = p[tip] + self._shortened(p[tip], q[tip])[1]
+        row, things, _ = self._walls_near(p[tip], end)
         through = np.zeros(len(p), bool)
-        tip = self._not_excluded(p, end)
-        rows, things, _ = self._walls_near(p[tip], end[tip])
-        rows = tip[rows]
-        through[rows[self._wall.crossed(things, p[rows], end[rows])]] = True
+        through[tip[row[self._wall.crossed(things, p[tip[row]], end[row])]]] = True
         return through
 
-    def _not_excluded(self, p: Ends, q: Ends) -> Int[np.ndarray, "_"]:
-        """Return the tips of groups of neighbours in which a tip may pass through a wall.
+    def may_pass(
+        self, tips: Float[np.ndarray, "n k 2 3"], away_m: float | Float[np.ndarray, "n"] = 0.0, is_rigid: bool = True
+    ) -> Bool[np.ndarray, "n"]:
+        """Return False for groups of tips between which no tip passes through a wall.
 
-        Every point of a tip is near a point of the group's mean tip. If the mean tip is farther from a wall's plane, on
-        one side of it, no tip of the group passes through this wall.
+        Every point of a tip is near a point of the group's mean tip. If a wall is farther than that from the mean tip,
+        or its plane, on one side of it, no tip of the group passes through this wall.
+
+        Args:
+            tips: Both ends of the k tips of each group, the second ones at the TCP [m].
+            away_m: Distance from the tips' convex hull within which the ends of other tips of a group are [m].
+            is_rigid: True if the tips move rigidly; otherwise the contact length is not subtracted.
         """
-        rows = np.minimum(np.arange(-(-len(p) // NEIGHBOURS) * NEIGHBOURS), len(p) - 1)
-        ends = np.stack([p, q], axis=1)[rows].reshape(-1, NEIGHBOURS, 2, 3)
+        p, q = tips[:, :, 0], tips[:, :, 1]
+        length, move = self._shortened(p, q) if is_rigid else (np.linalg.norm(q - p, axis=2), q - p)
+        ends = np.stack([p, p + move], axis=2)
         mean = ends.mean(axis=1)
-        away = np.linalg.norm(ends - mean[:, None], axis=3).max(axis=(1, 2), initial=0.0)
-        is_open = away > self._wall.grain
-        small = np.flatnonzero(~is_open)
-        group, things, apart = self._walls_near(mean[small, 0], mean[small, 1], away[small].max(initial=0.0))
-        group, within = small[group], (1 + INCLUSIVE) * away[small[group]]
-        meets = apart <= self._reach + within
-        group, things, within = group[meets], things[meets], within[meets]
-        is_open[group[self._wall.plane_distance(things, mean[group, 0], mean[group, 1]) <= within + INCLUSIVE]] = True
-        return np.flatnonzero(np.repeat(is_open, NEIGHBOURS)[: len(p)])
+        away = (1 + INCLUSIVE) * (np.linalg.norm(ends - mean[:, None], axis=3).max(axis=(1, 2), initial=0.0) + away_m)
+        middle, radius = mean.mean(axis=1), np.linalg.norm(mean[:, 1] - mean[:, 0], axis=1) / 2 + away
+        # Most are farther than that from the box of all walls.
+        beyond = np.maximum(np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0)
+        near = (length > 0).any(axis=1) | (not is_rigid)
+        near &= np.linalg.norm(beyond, axis=1) <= (self._reach + radius) * (1 + INCLUSIVE)
+        near[near] = self._is_near(middle[near], radius[near])
+        small = np.flatnonzero(near & (away <= self._wall.grain))
+        row, things, apart = self._walls_near(mean[small, 0], mean[small, 1], away[small].max(initial=0.0))
+        row = small[row]
+        row, things = (each[apart <= self._reach + away[row]] for each in (row, things))
+        near[small] = False
+        near[row[self._wall.plane_distance(things, mean[row, 0], mean[row, 1]) <= away[row] + INCLUSIVE]] = True
+        return near
 
     def _walls_near(
         self, p: Ends, q: Ends, away_m: float = 0.0
@@ -146,31 +160,13 @@ class TipGuard:
         reach = (self._reach + radius_m) * (1 + INCLUSIVE)
         return self._tree.query(points, distance_upper_bound=reach.max(initial=0.0))[0] <= reach
 
-    def may_pass(
-        self, p: Ends, q: Ends, travel: Float[np.ndarray, "n"], is_rigid: bool = True
-    ) -> Bool[np.ndarray, "n"]:
-        """Return False where no segment whose ends are at most `travel` [m] from p and q passes through a wall.
-
-        Args:
-            p: First ends of the segments [m].
-            q: Second ends, at the TCP [m].
-            travel: Travel of the ends [m].
-            is_rigid: True if the segments move rigidly; otherwise the contact length is not subtracted.
-        """
-        length, move = self._shortened(p, q) if is_rigid else (np.linalg.norm(q - p, axis=1), q - p)
-        farthest = (self._reach + length / 2 + travel) * (1 + INCLUSIVE)
-        middle = p + move / 2
-        # Most are farther than that from the box of all walls.
-        beyond = np.maximum(np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0)
-        near = ((length > 0) | (not is_rigid)) & (np.linalg.norm(beyond, axis=1) <= farthest)
-        near[near] = self._is_near(middle[near], length[near] / 2 + travel[near])
-        return near
-
-    def _shortened(self, p: Ends, q: Ends) -> tuple[Float[np.ndarray, "n"], Ends]:
+    def _shortened(
+        self, p: Float[np.ndarray, "*n 3"], q: Float[np.ndarray, "*n 3"]
+    ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n 3"]]:
         """Return the lengths of the segments after removal of the contact length at q [m], and the moves from p."""
-        length = np.linalg.norm(q - p, axis=1)
+        length = np.linalg.norm(q - p, axis=-1)
         kept = np.maximum(length - self._contact, 0.0)
-        return kept, (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[:, None]
+        return kept, (q - p) * np.divide(kept, length, out=np.zeros_like(kept), where=length > 0)[..., None]
 
 
 @cached_for_last(2)
