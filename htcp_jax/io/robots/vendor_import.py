@@ -152,8 +152,8 @@ def import_robot(
         tolerance_m: Tolerance of a closer fit, see `close_fit.cover_closely`. It applies to bodies on the last two
             links, including the tool, with at most close_fit.MOST_CLOSE capsules each; other bodies have at most
             close_fit.MOST capsules. None: at most capsule_fit.MOST capsules per body.
-        visual: True to enclose the visual geometry. False: the collision geometry, or the visual geometry if the model
-            has no collision geometry.
+        visual: True to enclose the visual geometry. False: the collision geometry, or the visual geometry of an MJCF
+            file without collision geometry.
         srdf: SRDF file with excluded pairs of links, see `disabled_pairs`.
         fixed: Values [rad or m], by joint name, of joints to freeze, on the chain to the TCP or off it.
         fewest: Minimum number of joints; 1 for a positioner or a rail.
