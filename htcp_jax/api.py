@@ -149,7 +149,7 @@ class Plan:
         found = self.motion_summary
         if found.joint_step_joint is None:
             return {}
-        slides, step = self.robot.slides[found.joint_step_joint], found.joint_step_max_rad
+        slides, step = self.robot.sliding[found.joint_step_joint], found.joint_step_max_rad
         size = f"{1e3 * step:.3g} mm" if slides else f"{np.rad2deg(step):.3g} deg"
         name = self.robot.joint_names[found.joint_step_joint]
         return {"largest joint step": f"{size} of {name}, on the segment to target {found.joint_step_target}"}

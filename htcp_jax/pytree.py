@@ -37,17 +37,20 @@ def register_pytree(cls: type) -> type:
 
 
 def without_labels(value: Value) -> Value:
-    """Return a copy of a dataclass whose LABEL fields are empty; a tuple of names keeps its length.
+    """Return a copy of a dataclass whose LABEL fields are empty, also those of its fields; tuples keep their lengths.
 
     Compiled functions do not read labels. Without them, arms and obstacles that differ only in their labels share
     executables.
     """
-    if not dataclasses.is_dataclass(value):
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return value
+    if not any(field.metadata for field in dataclasses.fields(value)):
         return value
     found = object.__new__(type(value))
     for field in dataclasses.fields(value):
         content = getattr(value, field.name)
-        object.__setattr__(found, field.name, _empty(content) if field.metadata.get("label") else content)
+        own = _empty(content) if field.metadata.get("label") else without_labels(content)
+        object.__setattr__(found, field.name, own)
     return found
 
 

@@ -19,6 +19,10 @@ ARM_URDF = """<robot name="arm">
 <joint name="j3" type="prismatic"><origin xyz=".02 0 .2"/><parent link="fore"/><child link="hand"/>
 <axis xyz="1 0 0"/><limit lower="-.1" upper=".4" effort="40" velocity=".3" acceleration="2"/></joint>
 <joint name="mount" type="fixed"><origin xyz="0 0 .1" rpy="0 .3 0"/><parent link="hand"/><child link="tool"/></joint>
+<link name="rod"><collision><geometry><sphere radius=".02"/></geometry></collision></link>
+<joint name="push" type="revolute"><origin xyz="0 .1 0"/><parent link="upper"/><child link="rod"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="3" effort="60" velocity="2"/>
+<mimic joint="j1" multiplier="-.5" offset=".2"/></joint>
 <transmission name="t1"><joint name="j1"/></transmission></robot>
 """
 FINGERS = """<link name="left"><collision><geometry><cylinder radius=".02" length=".1"/></geometry></collision></link>
@@ -34,7 +38,7 @@ VENDOR_URDF = ARM_URDF.replace('<box size=".1 .1 .3"/>', '<mesh filename="box.st
     "</robot>\n", FINGERS
 )
 ARM_MJCF = """<mujoco model="arm"><compiler angle="radian" autolimits="true"/>
-<custom><numeric name="speed" data="1 2 3"/><numeric name="acceleration" data="4 5 6"/></custom>
+<custom><numeric name="speed" data="1 2 3 4"/><numeric name="acceleration" data="4 5 6 7"/></custom>
 <default><default class="c"><joint axis="0 1 0" range="-2 2"/></default></default>
 <contact><exclude body1="a" body2="c"/></contact>
 <worldbody><body name="a" pos="0 0 .3"><joint name="j1" axis="0 0 1" range="-1 2" actuatorfrcrange="-9 9"/>
@@ -42,7 +46,8 @@ ARM_MJCF = """<mujoco model="arm"><compiler angle="radian" autolimits="true"/>
 <body name="b" pos="0 0 .3" euler=".1 0 0"><joint name="j2" class="c"/><geom type="capsule" size=".04 .1"/>
 <body name="c" pos=".1 0 .3" quat="1 .1 0 0"><joint name="j3" type="slide" range="0 .5"/>
 <geom type="sphere" size=".04"/><inertial pos="0 0 .1" mass="2" diaginertia=".1 .1 .1"/><site name="tcp" pos="0 0 .1"/>
-</body></body></body></worldbody></mujoco>
+</body></body><body name="rod"><joint name="push" class="c" ref=".1"/><geom type="sphere" size=".02"/></body>
+</body></worldbody><equality><joint joint1="push" joint2="j2" polycoef=".1 -.5"/></equality></mujoco>
 """
 VENDOR_MJCF = ARM_MJCF.replace(
     "<worldbody>", '<asset><mesh name="shell" file="box.stl" scale=".1 .2 .1"/></asset><worldbody>'

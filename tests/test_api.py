@@ -107,6 +107,9 @@ def test_a_failed_plan_says_where_and_why(short, tmp_path):
     assert plan.frame().clearance_m.isna().sum() == 1 and plan.frame().path_clear.isna().sum() == 1
 
 
+OMITTED = '<text name="moving links without capsules" data="rod, lever"/>'  # as htcp robot --omit writes it
+
+
 def test_shapes_for_contact_that_are_not_checked_are_named(tmp_path):
     job = toy.write_job(tmp_path)
     drawn = '<geom type="box" size="1 1 1" contype="0" conaffinity="0"/>'
@@ -116,6 +119,9 @@ def test_shapes_for_contact_that_are_not_checked_are_named(tmp_path):
     (tmp_path / "arm.xml").write_text(arm.replace("<site ", f"{others}<site ", 1))
     facts = htcp_jax.plan(job, method="baseline").facts()
     assert facts["not checked"] == "wrist: no capsule or sphere; convert the arm with htcp robot"
+    (tmp_path / "arm.xml").write_text(arm.replace("<worldbody>", f"<custom>{OMITTED}</custom><worldbody>", 1))
+    facts = htcp_jax.plan(job, method="baseline").facts()
+    assert facts["not checked"] == "rod, lever: omitted from the model"
 
 
 def test_overrides_are_words_or_values(short):

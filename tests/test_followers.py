@@ -12,8 +12,10 @@ from coupled import COMPILER, joint, mimic, solved, urdf
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import load_robot
+from htcp_jax.io.robots import LinkMeshes, load_robot
 from htcp_jax.model import kinematics
+from htcp_jax.spec import ComposedModel, PlacedModel
+from htcp_jax.spec import tool as tools
 
 BASE = [joint("a1", "base", "l1", "0 0 1"), joint("a2", "l1", "l2"), joint("a3", "l2", "l3")]
 TOOL = joint("a6", "l5", "tcp", "1 0 0")
@@ -178,6 +180,32 @@ def test_the_arm_moves_as_mujoco_with_its_constraints_solved(imported, case):
         np.testing.assert_allclose(jacobian, J @ along, rtol=0, atol=1e-9)
 
 
+PARALLELOGRAM = """<mujoco model="parallelogram"><compiler angle="radian" boundmass="1" boundinertia="1"/><worldbody>
+  <geom name="foot" size="0.02"/>
+  <body name="l1" pos="0 0 0.3"><joint name="a1" axis="0 0 1" range="-3 3"/>
+    <body name="lower" pos="0.1 0 0"><joint name="a2" axis="0 1 0" range="-1 1"/><geom name="lower" size="0.03"/>
+      <body name="upper" pos="0 0 0.6"><joint name="a3" axis="0 1 0" range="-1 1"/><geom name="upper" size="0.03"/>
+        <body name="hand" pos="0.5 0 0"><joint name="a4" axis="1 0 0" range="-2 2"/><site name="tcp" pos="0.2 0 0"/>
+        </body></body>
+      <body name="crank"><joint name="turn" axis="0 1 0"/><geom name="crank" size="0.02"/>
+        <body name="rod" pos="-0.2 0 0"><joint name="push" axis="0 1 0"/>
+          <geom name="rod" type="capsule" size="0.02" fromto="0 0 0.05 0 0 0.55"/></body></body>
+    </body></body></worldbody><equality>EQUALITY</equality></mujoco>"""
+
+
+def test_a_rod_stands_where_mujoco_closes_the_parallelogram(imported):
+    follow = '<joint joint1="turn" joint2="a3"/><joint joint1="push" joint2="turn" polycoef="0 -1"/>'
+    _, file = imported(PARALLELOGRAM.replace("EQUALITY", follow))
+    closed = '<connect body1="rod" body2="upper" anchor="0 0 0.6"/>'
+    arm, model = load_robot(file), mujoco.MjModel.from_xml_string(PARALLELOGRAM.replace("EQUALITY", closed))
+    u = np.random.default_rng(0).uniform(arm.lower, arm.upper, (10, 4))
+    rod = arm.capsule_names.index("rod")
+    for row, ends in zip(u, kinematics_of(arm, u)[1], strict=True):
+        body = solved(model, dict(zip(arm.joint_names, row, strict=True)))[0].body("rod")
+        expected = [body.xpos + body.xmat.reshape(3, 3) @ (0, 0, height) for height in (0.05, 0.55)]
+        assert min(np.abs(ends[rod] - end).max() for end in expected) < 1e-9
+
+
 def test_the_file_that_is_read_directly_is_the_arm_that_is_imported(imported, tmp_path):
     _, file = imported(ARMS["MJCF, drawn elsewhere"][0])
     ours, theirs = load_robot(file), load_robot(tmp_path / "model.xml")
@@ -338,3 +366,94 @@ def test_a_gripper_that_closes_loops_behind_the_tcp_is_frozen(imported):
         warnings.simplefilter("error")
         facts, _ = imported(text)
     assert facts["frozen"] == ["jaw1", "jaw2", "push"] and "omitted" not in facts
+
+
+# Cells of several files, meshes, and fixtures
+
+LIFT = urdf(
+    joint("lift", "base", "stage", "0 0 1", kind="prismatic", limit="0 0.4"),
+    joint("lift2", "stage", "car", "0 0 1", kind="prismatic", limit="0 0.4", more=mimic("lift", 1, 0.1)),
+).replace("base", "floor")
+TABLE = urdf(
+    joint("yoke", "base", "arm", "1 0 0", more=mimic("turn", -0.5, 0.1)), joint("turn", "arm", "table", "0 0 1")
+).replace("base", "ground")
+WRIST = ARMS["a wrist that bends twice"][0]
+
+
+def test_a_cell_of_several_files_moves_as_mujoco_with_its_constraints_solved(tmp_path):
+    for name, text in {"lift": LIFT, "table": TABLE, "wrist": WRIST}.items():
+        (tmp_path / f"{name}.urdf").write_text(text)
+    still, turned = (0.0, 0.0, 0.0), (0.0, 0.0, 0.4)
+    cell = ComposedModel(
+        (
+            PlacedModel("robot", tmp_path / "wrist.urdf", "rail.car", (0.0, 0.0, 0.5), turned),
+            PlacedModel("rail", tmp_path / "lift.urdf", "world", still, still),
+            PlacedModel("positioner", tmp_path / "table.urdf", "world", (1.0, 0.0, 0.0), still),
+        ),
+        "positioner.table",
+    )
+    arm = load_robot(cell, tcp_site="tcp")
+    assert arm.joint_names == ("turn", "lift", "a1", "a2", "a3", "a5", "a6")
+    u = np.random.default_rng(0).uniform(arm.lower, arm.upper, (5, len(arm.joint_names)))
+    for row, pose in zip(u, kinematics_of(arm, u)[0], strict=True):
+        at = dict(zip(arm.joint_names, row, strict=True))
+        table = pose_of(solved(reference(TABLE), {"turn": at.pop("turn")})[0].body("table"))
+        car = pose_of(solved(reference(LIFT), {"lift": at.pop("lift")})[0].body("car"))
+        tcp = pose_of(solved(reference(WRIST), at)[0].body("tcp"))
+        table[0, 3] += 1.0
+        expected = np.linalg.inv(table) @ car @ tools.pose((0.0, 0.0, 0.5), turned) @ tcp
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-9)
+
+
+def pose_of(body) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = body.xmat.reshape(3, 3), body.xpos
+    return T
+
+
+def test_the_vendors_meshes_move_with_the_followers(imported):
+    text = ARMS["a parallelogram's rods"][0]
+    _, file = imported(text)
+    arm, meshes = load_robot(file), LinkMeshes.read(file)
+    u = np.random.default_rng(0).uniform(arm.lower, arm.upper, (3, len(arm.joint_names)))
+    written, read = mujoco.MjModel.from_xml_path(str(file)), meshes.poses(u)
+    for k, row in enumerate(u):
+        data, _ = solved(reference(text), dict(zip(arm.joint_names, row, strict=True)))
+        for name in ("crank", "rod", "tcp"):
+            found = read.position[k, written.body(name).id]
+            np.testing.assert_allclose(found, data.body(name).xpos, rtol=0, atol=1e-9)
+
+
+def test_an_imported_arm_is_imported_again_with_its_followers(imported):
+    first, file = imported(ARMS["a parallelogram's rods"][0])
+    whole = load_robot(file)
+    again, file = imported(file.read_text())
+    assert again["followers"] == first["followers"] and again["joints"] == first["joints"]
+    for one, other in zip(jax.tree.leaves(load_robot(file).coupling), jax.tree.leaves(whole.coupling), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_limits_from_a_file_hold_for_followers(imported, tmp_path):
+    (tmp_path / "limits.yaml").write_text(
+        "joint_limits:\n  a5: {min_position: -0.9, max_position: 0.9, max_velocity: 3}\n"
+        "  a5b: {min_position: -0.4, max_position: 0.2, max_velocity: 0.5}\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        _, file = imported(WRIST, "--limits", str(tmp_path / "limits.yaml"))
+        imported_arm, whole = (
+            load_robot(file),
+            load_robot(tmp_path / "model.urdf", limits=str(tmp_path / "limits.yaml")),
+        )
+    k = imported_arm.joint_names.index("a5")
+    assert [float(each[k]) for each in (imported_arm.lower, imported_arm.upper, imported_arm.speed)] == [-0.4, 0.2, 0.5]
+    assert [float(each[k]) for each in (whole.lower, whole.upper)] == [-0.4, 0.2]
+
+
+def test_omitted_links_of_a_cells_models_are_listed_with_their_model(imported, tmp_path):
+    _, arm = imported(mjcf(OMITTED["a follower"]), "--omit", "rod")
+    still = (0.0, 0.0, 0.0)
+    rail = PlacedModel("rail", arm, "world", still, still)
+    (tmp_path / "wrist.urdf").write_text(WRIST)
+    robot = PlacedModel("robot", tmp_path / "wrist.urdf", "rail.tcp", still, still)
+    assert load_robot(ComposedModel((robot, rail), None), tcp_site="tcp").omitted == ("rail.rod",)

@@ -207,6 +207,10 @@ def test_lengthened_tool_moves_the_tcp_along_its_axis():
     np.testing.assert_allclose(q_longer - q, follows_q[:, None] * step, rtol=0, atol=1e-15)
 
 
+def test_a_locked_joint_leaves_the_tool_what_it_is():
+    np.testing.assert_array_equal(load_robot(locked={"joint1": 0.1}).on_tool, gp50().on_tool)
+
+
 def test_tool_lengthened_by_nothing_is_identical():
     robot = gp50()
     same = lengthen_tool(robot, 0.0)

@@ -38,10 +38,10 @@ def cell(
     """Convert the URDF or MJCF model of a cell in which the part moves.
 
     The model contains the complete cell: positioner or rail, arm and tool. The joints between the link that carries the
-    workpiece and the TCP stay movable. All other joints are frozen; --fix freezes further ones. Capsules enclose the
-    bodies, as with htcp robot. Writes CELL.xml and CELL.png. In a job, set robot.model to CELL.xml, and give the
-    workpiece's file and its pose in the frame of --part. If the model contains the workpiece, too, exclude that link
-    with --omit. With --part world the workpiece is fixed, as with htcp robot.
+    workpiece and the TCP stay movable, with those that follow them. All others are frozen; --fix freezes further ones.
+    Capsules enclose the bodies, as with htcp robot. Writes CELL.xml and CELL.png. In a job, set robot.model to
+    CELL.xml, and give the workpiece's file and its pose in the frame of --part. If the model contains the workpiece,
+    too, exclude that link with --omit. With --part world the workpiece is fixed, as with htcp robot.
 
     Omit --tool if the model is only a positioner or a rail, and set a job's positioner.model or rail.model to CELL.xml.
     Then the joints from the world to the link of --part stay movable.

@@ -60,7 +60,7 @@ Fix = Annotated[
 ]
 Omit = Annotated[
     list[str] | None,
-    typer.Option(metavar="LINK", help="Link without capsules: a linkage's rod, a cable, the part. May be repeated."),
+    typer.Option(metavar="LINK", help="Link without capsules: a cable, the part. May be repeated."),
 ]
 Limits = Annotated[
     Path | None,
@@ -93,9 +93,9 @@ def robot(
 ) -> int:
     """Convert a vendor's URDF or MJCF model to an arm of capsules.
 
-    The joints from base to TCP stay movable. All others, such as a gripper's, are frozen; --fix freezes further ones.
+    The joints from base to TCP stay movable, with joints that follow them, such as those of a linkage's rods. All
+    others, such as a gripper's, are frozen; --fix freezes further ones.
     Each revolute or prismatic joint of a URDF needs a range, in the model or in --limits FILE.
-    A warning names frozen joints that mimic a moving joint: exclude their links with --omit.
     Capsules and spheres of the model are kept; fitted capsules enclose meshes, boxes and cylinders. Writes ARM.xml and
     ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
     ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of

@@ -177,7 +177,8 @@ def by_coordinates(robot: Robot, columns: Float[Array, "*n J"]) -> Float[Array, 
     """Return Jacobians by the coordinates x, from those by the joints q = C x + d."""
     if robot.coupling is None:
         return columns
-    return product(columns.reshape(-1, columns.shape[-1]), robot.coupling.factors).reshape(*columns.shape[:-1], -1)
+    factors = robot.coupling.factors
+    return product(columns, factors.reshape((1,) * (columns.ndim - 2) + factors.shape))
 
 
 def joint_rates(robot: Robot, rates: Joints) -> Float[Array, "J"]:

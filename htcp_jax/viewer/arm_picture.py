@@ -41,6 +41,9 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     data = mujoco.MjData(model)
     low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, [-np.inf, np.inf]).T
     data.qpos[:] = np.clip(0.0, low, high)
+    for j, follower in arm.followers.items():  # masters first
+        name, master = (robots.joint_name(arm.model, each) for each in (j, follower.master))
+        data.joint(name).qpos[:] = follower.at(data.joint(master).qpos[0])
     mujoco.mj_kinematics(model, data)
     figure = Figure(figsize=(14, 10), dpi=110, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)

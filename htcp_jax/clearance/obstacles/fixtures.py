@@ -22,7 +22,7 @@ import numpy as np
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
-from htcp_jax.model import ConvexPiece, Robot, make_piece, stack_pieces
+from htcp_jax.model import ConvexPiece, Robot, kinematics, make_piece, stack_pieces
 from htcp_jax.numerics import one_by_one
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Bool, Float, Scalar
@@ -154,6 +154,8 @@ def _padded_count(count: int) -> int:
 def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
     """Return True for solids that a body of the first link touches at x = 0."""
     T, radius = np.asarray(robot.T_parent_joint)[0], np.asarray(robot.capsule_radius)[body]
+    if robot.coupling is not None:  # a joint that follows need not be at 0
+        T = np.asarray(kinematics.link_poses(robot, jnp.zeros(robot.dof)))[0]
     p, q = (T[:3, :3] @ np.asarray(end)[body] + T[:3, 3] for end in (robot.capsule_p, robot.capsule_q))
     alone = (jax.tree.map(lambda leaf: leaf[0], _host_stacked([row.solid])) for row in rows)
     return np.array([np.asarray(_distance(solid, p, q)) <= radius for solid in alone])

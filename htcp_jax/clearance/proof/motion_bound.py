@@ -232,11 +232,13 @@ def _bounds_of_chain(
 ) -> _Bounds:
     """Return the bounds for P points by the n joints of a chain, from their velocities per unit speed of each joint."""
     speeds, bend = jnp.abs(rates), jnp.zeros(len(columns))
+    if not len(hinge):
+        return _Bounds(jnp.zeros((len(columns), 3)), bend, bend)
     lever, moved = lever_bounds(levers, turns, hinge)
     for j in reversed(range(len(hinge))):
         turned = 2 * jnp.sum(speeds[:j], where=hinge[:j])
         bend = bend + speeds[j] * lever[j] * (turned + (speeds[j] if hinge[j] else 0.0))
-    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), jnp.broadcast_to(moved, bend.shape), bend)
+    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)
 
 
 def lever_bounds(

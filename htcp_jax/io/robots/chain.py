@@ -48,11 +48,6 @@ class Chain(NamedTuple):
         """All joints, those on side branches last."""
         return self.to_tcp + self.side
 
-    @property
-    def reversed(self) -> tuple[bool, ...]:
-        """True for each reversed joint of `joints`."""
-        return (True,) * len(self.up) + (False,) * len(self.down + self.side)
-
     def without(self, fixed: Collection[int]) -> "Chain":
         """Return the chain without the joints `fixed`, given by their indices in the model."""
         return Chain(self.root, *(tuple(j for j in part if j not in fixed) for part in self[1:]))
@@ -62,7 +57,7 @@ class JointMap(NamedTuple):
     """The J joints of a chain as q = C u + d of its N coordinates u, the joints that follow no other one."""
 
     joints: tuple[int, ...]  # by their indices in the model, as in `Chain.joints`
-    free: tuple[int, ...]  # those of the coordinates: reversed joints, then the others in the model's order
+    free: tuple[int, ...]  # those of the coordinates, see `_in_order`
     factors: Float[np.ndarray, "J N"]  # C [1, m/rad or rad/m]
     offsets: Float[np.ndarray, "J"]  # d [rad or m]
 
@@ -79,7 +74,7 @@ class JointMap(NamedTuple):
     def of(cls, model: mujoco.MjModel, path: Path, chain: Chain) -> "JointMap":
         """Return the map of a chain whose followers are linear."""
         pairs = _followers_on(model, path, chain)
-        free = tuple(j for j in (*chain.up, *sorted(chain.down + chain.side)) if j not in pairs)
+        free = tuple(j for j in _in_order(model, chain.root) if j in chain.joints and j not in pairs)
         rows = {j: (k, 1.0, 0.0) for k, j in enumerate(free)}
         for j, follower in pairs.items():  # masters first
             k, factor, offset = rows[follower.master]
@@ -154,7 +149,7 @@ def chain_between(model: mujoco.MjModel, root: int, tcp_body: int) -> Chain:
 
 
 def chain_of_file(model: mujoco.MjModel, path: Path, fixed: Collection[int] = ()) -> Chain:
-    """Return the joints of an arm's or a cell's file: `down` has all that are not fixed, in the model's order.
+    """Return the joints of an arm's or a cell's file: `down` has all that are not fixed, see `_in_order`.
 
     Joints that follow a fixed one, and joints that are held, are fixed, too.
 
@@ -165,8 +160,13 @@ def chain_of_file(model: mujoco.MjModel, path: Path, fixed: Collection[int] = ()
     for j, follower in followers(model, path).items():  # masters first
         if follower.is_held or follower.master in still:
             still.add(j)
+    return Chain(root, (), _in_order(model, root)).without(still)
+
+
+def _in_order(model: mujoco.MjModel, root: int) -> tuple[int, ...]:
+    """Return all joints: those between the part's link and the world, then the others in the model's order."""
     up = [j for body in upwards(model, root) for j in reversed(joints_of(model, body))]
-    return Chain(root, tuple(up), tuple(j for j in range(model.njnt) if j not in up)).without(still)
+    return (*up, *(j for j in range(model.njnt) if j not in up))
 
 
 def with_side_branches(
@@ -196,7 +196,7 @@ def with_side_branches(
     for j, each in pairs.items():
         if each.is_linear and each.master in moving and model.jnt_bodyid[j] in bodies:
             moving.add(j)
-    return chain._replace(side=tuple(sorted(moving - set(chain.to_tcp))))
+    return chain._replace(side=tuple(j for j in _in_order(model, chain.root) if j in moving - set(chain.to_tcp)))
 
 
 def _followers_on(model: mujoco.MjModel, path: Path, chain: Chain) -> dict[int, Follower]:
@@ -264,6 +264,7 @@ class LinkFrames(NamedTuple):
 
     T_parent_joint: Float[np.ndarray, "J 4 4"]  # each joint's frame at 0, in the link that carries it [m]
     parents: tuple[int, ...]  # link that carries each joint; -1: the chain's root
+    reversed: tuple[bool, ...]  # True for joints that lead from their body to that body's parent
     of_bodies: list[tuple[int, np.ndarray]]  # for each body of the model its link, -1 for the root, and T_link_body
 
 
@@ -279,14 +280,14 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray, chain: Chain) -
         chain: The chain.
     """
     T_parent_joint, number = np.zeros((len(chain.joints), 4, 4)), {j: k for k, j in enumerate(chain.joints)}
-    parents = [-1] * len(chain.joints)
+    parents, is_reversed = [-1] * len(chain.joints), [False] * len(chain.joints)
     link, T_link_body, body = -1, T_world_base if chain.root == 0 else np.eye(4), chain.root
     known = {body: (link, T_link_body)}
     while body > 0:
         for j in reversed(joints_of(model, body)):
             if j in number:  # from the frame that moves with the body to the one that it moves against
                 T_parent_joint[number[j]] = T_link_body @ shifted_frame(model.jnt_pos[j])
-                parents[number[j]], link = link, number[j]
+                parents[number[j]], is_reversed[number[j]], link = link, True, number[j]
                 T_link_body = np.linalg.inv(shifted_frame(model.jnt_pos[j]) @ _drawn_back(model, j))
         T_link_body = T_link_body @ np.linalg.inv(body_frame(model, body))
         body = int(model.body_parentid[body])
@@ -303,7 +304,7 @@ def link_frames(model: mujoco.MjModel, T_world_base: np.ndarray, chain: Chain) -
                 T_parent_joint[number[j]] = T_link_body @ shifted_frame(model.jnt_pos[j]) @ _drawn_back(model, j)
                 parents[number[j]], link, T_link_body = link, number[j], shifted_frame(-model.jnt_pos[j])
         frames.append((link, T_link_body))
-    return LinkFrames(T_parent_joint, tuple(parents), frames)
+    return LinkFrames(T_parent_joint, tuple(parents), tuple(is_reversed), frames)
 
 
 def _drawn_back(model: mujoco.MjModel, j: int) -> np.ndarray:

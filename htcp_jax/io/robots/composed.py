@@ -178,7 +178,7 @@ def _rename(tree: mujoco.MjSpec, part: _Part) -> None:
     for each in named:
         each.name = each.name.removeprefix(prefix)
     for each in tree.equalities:
-        if each.objtype == mujoco.mjtObj.mjOBJ_JOINT or part.placed.key == ROBOT:
+        if each.type == mujoco.mjtEq.mjEQ_JOINT or part.placed.key == ROBOT:
             each.name1, each.name2 = each.name1.removeprefix(prefix), each.name2.removeprefix(prefix)
 
 

@@ -137,7 +137,7 @@ def read_robot_file(
     slides = tuple(bool(kind == SLIDE) for kind in model.jnt_type[joints])
     arm_name = model_name(model) or path.stem
     ranges, is_within = _ranges(model, path, mapped, limits, slides, arm_name)
-    T_parent_joint, parents, frames = link_frames(model, T_world_base, chain)
+    T_parent_joint, parents, is_reversed, frames = link_frames(model, T_world_base, chain)
     check_loops(model, path, [link for link, _ in frames])
     bodies = [_capsule_geom(model, geom, frames) for geom in range(model.ngeom) if _is_round(model, geom)]
     link, T_link_body = frames[tcp_body]
@@ -150,7 +150,7 @@ def read_robot_file(
         raise InputError(f"{path}: no capsule or sphere geoms; {known}{geom_types and '; ' + _next_step(path)}")
     arrays = {
         "T_parent_joint": T_parent_joint,
-        "axis": model.jnt_axis[joints] * np.where(chain.reversed, -1.0, 1.0)[:, None],
+        "axis": model.jnt_axis[joints] * np.where(is_reversed, -1.0, 1.0)[:, None],
         "T_link_tcp": T_link_flange if tool is None else T_link_flange @ tools.pose(tool.tip_m, tool.tip_rpy_rad),
         "capsule_p": np.array([each.capsule.p for each in bodies]),
         "capsule_q": np.array([each.capsule.q for each in bodies]),

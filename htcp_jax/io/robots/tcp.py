@@ -135,8 +135,10 @@ def warn_of_jaw(model: mujoco.MjModel, path: Path, tip: Tip, joints: Sequence[in
     tips = _tips(model, range(model.nbody)).values()
     names = [each.name for each in tips if model.body_weldid[each.body] == model.body_weldid[base]]
     moved = [joint_name(model, j) for j in jaw]
-    free = [pairs[j].master if j in pairs else j for j in jaw]
-    fix = " ".join(f"--fix {joint_name(model, j)}=VALUE" for j in dict.fromkeys(free))
+    masters = {j: j for j in range(model.njnt)}
+    for j, follower in pairs.items():
+        masters[j] = masters.get(follower.master, j)
+    fix = " ".join(f"--fix {joint_name(model, j)}=VALUE" for j in dict.fromkeys(masters[j] for j in jaw))
     warnings.warn(
         f"{path}: the TCP {tip.name!r} is on a jaw that {', '.join(moved)} moves as a part of the arm; "
         f"choose a frame before the jaw with --tcp ({listed(names)}), or freeze the jaw with {fix}",

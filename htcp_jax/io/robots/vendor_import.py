@@ -320,9 +320,10 @@ def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco
 def chain_text(arm: ImportedArm) -> str:
     """Format the links and joints from the part to the TCP as text: part -a7- link_6 ... base -b1- table."""
     model, words, link = arm.model, [arm.part or "world"], arm.chain.root
-    for j, back in zip(arm.chain.to_tcp, arm.chain.reversed, strict=False):
+    for j in arm.chain.to_tcp:
         link = int(model.jnt_bodyid[j])
-        words += [f"-{joint_name(model, j)}-", body_name(model, int(model.body_parentid[link]) if back else link)]
+        after = int(model.body_parentid[link]) if j in arm.chain.up else link
+        words += [f"-{joint_name(model, j)}-", body_name(model, after)]
     return " ".join(words)
 
 
