@@ -22,6 +22,7 @@
     python -m benchmarks gallery           the pictures of docs/gallery.md, by the commands on that page
     python -m benchmarks speed             times, compared with committed figures or with another checkout
     python -m benchmarks gpu               the cross sweep on a GPU, compared with the last tag; README's rows
+    python -m benchmarks arm-files         arms in packages of PyPI, compared with Pinocchio and MuJoCo
     python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
@@ -54,6 +55,7 @@ CASES = (
     "gallery",
     "speed",
     "gpu",
+    "arm-files",
     "shape",
     "mutants",
 )

@@ -448,3 +448,12 @@ def test_limits_from_a_file_hold_for_followers(imported, tmp_path):
     k = imported_arm.joint_names.index("a5")
     assert [float(each[k]) for each in (imported_arm.lower, imported_arm.upper, imported_arm.speed)] == [-0.4, 0.2, 0.5]
     assert [float(each[k]) for each in (whole.lower, whole.upper)] == [-0.4, 0.2]
+
+
+def test_omitted_links_of_a_cells_models_are_listed_with_their_model(imported, tmp_path):
+    _, arm = imported(mjcf(OMITTED["a follower"]), "--omit", "rod")
+    still = (0.0, 0.0, 0.0)
+    rail = PlacedModel("rail", arm, "world", still, still)
+    (tmp_path / "wrist.urdf").write_text(WRIST)
+    robot = PlacedModel("robot", tmp_path / "wrist.urdf", "rail.tcp", still, still)
+    assert load_robot(ComposedModel((robot, rail), None), tcp_site="tcp").omitted == ("rail.rod",)

@@ -376,3 +376,16 @@ def test_a_mesh_may_be_in_the_folder_above_the_model(tmp_path):
     MESH.export(tmp_path / "meshes/boom.stl")
     (tmp_path / "urdf/crane.urdf").write_text(URDF.replace("package://crane_description/", ""))
     assert import_robot(tmp_path / "urdf/crane.urdf", "grasp", most=1).joint_names == ("lift", "turn", "bend", "roll")
+
+
+def test_an_arm_on_a_mocap_body_stands_where_the_body_is(tmp_path):
+    """Simulations place arms so; a mocap body without joints is a target, and not the arm's."""
+    body = '<geom size="0.1"/>'
+    for name in "cba":
+        body = f'<body name="{name}" pos="0 0 0.3"><joint name="j{name}" axis="0 1 0" range="-1 1"/>{body}</body>'
+    text = '<mujoco><worldbody><body name="base" pos="1 2 3"{}>{}</body></worldbody></mujoco>'
+    found = []
+    for mocap in ("", ' mocap="true"'):
+        (tmp_path / "arm.xml").write_text(text.format(mocap, body))
+        found.append(mjcf.arm_xml(import_robot(tmp_path / "arm.xml", "c"), "arm.xml"))
+    assert found[0] == found[1] and 'pos="1 2 3"' in found[0]

@@ -4,9 +4,9 @@
 file with MuJoCo and extracts the chain to the TCP, see `chain`; `mujoco_models` compiles, and looks up names, texts and
 numbers. `safe_xml` refuses harmful files before MuJoCo reads them.
 `urdf_elements` finds unknown elements of a URDF, `ledger` counts and names what is not used, `urdf_joints` checks the
-tree of a URDF and writes the ranges that hold; `remarks` turns what concerns the chain into messages. `followers` finds
-the joints that follow others, `constraints` the loops and tendons of an MJCF file, which are refused. `joint_limits`
-reads limits from another file.
+tree of a URDF and writes the ranges that hold; `remarks` turns what concerns the chain into messages. `joint_limits`
+reads limits from another file, and `xacro_file` expands xacro files. `followers` finds the joints that follow others,
+`constraints` the loops and tendons of an MJCF file, which are refused.
 
 `model_source` has the types for the file or files of an arm or a cell, and `composed` reads several files as one tree.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
-from htcp_jax.io.robots.mujoco_models import body_name, joints_of, upwards
+from htcp_jax.io.robots.mujoco_models import body_name, is_mocap_alone, joints_of, upwards
 
 _TAGS = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -111,4 +111,4 @@ def omit_text(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
 def _is_foreign(model: mujoco.MjModel, body: int) -> bool:
     line = list(upwards(model, body))
     free = any(model.jnt_type[j] == _FREE for b in line for j in joints_of(model, b))
-    return free or any(model.body_mocapid[b] >= 0 for b in line)
+    return free or any(is_mocap_alone(model, b) for b in line)

@@ -149,6 +149,11 @@ def joints_of(model: mujoco.MjModel, body: int) -> range:
     return range(first, first + int(model.body_jntnum[body]))
 
 
+def is_mocap_alone(model: mujoco.MjModel, body: int) -> bool:
+    """Return True for a mocap body that carries no joints, such as one that a mouse moves; not for an arm's base."""
+    return bool(model.body_mocapid[body] >= 0 and not any(body in upwards(model, int(b)) for b in model.jnt_bodyid))
+
+
 def massive_bodies(spec: mujoco.MjSpec) -> list[int]:
     """Return the bodies with an inertia in the file, by their indices in the compiled model."""
     return [body.id for body in spec.bodies if body.explicitinertial and body.mass > 0]

@@ -34,6 +34,7 @@ from htcp_jax.io.robots.mujoco_models import (
     body_name,
     compile_spec,
     delete_all,
+    is_mocap_alone,
     joint_name,
     massive_bodies,
     model_name,
@@ -151,8 +152,8 @@ def import_robot(
         tolerance_m: Tolerance of a closer fit, see `close_fit.cover_closely`. It applies to bodies on the last two
             links, including the tool, with at most close_fit.MOST_CLOSE capsules each; other bodies have at most
             close_fit.MOST capsules. None: at most capsule_fit.MOST capsules per body.
-        visual: True to enclose the visual geometry. False: the collision geometry, or the visual geometry if the model
-            has no collision geometry.
+        visual: True to enclose the visual geometry. False: the collision geometry, or the visual geometry of an MJCF
+            file without collision geometry.
         srdf: SRDF file with excluded pairs of links, see `disabled_pairs`.
         fixed: Values [rad or m], by joint name, of joints to freeze, on the chain to the TCP or off it.
         fewest: Minimum number of joints; 1 for a positioner or a rail.
@@ -327,11 +328,11 @@ def chain_text(arm: ImportedArm) -> str:
 
 
 def _robot_bodies(model: mujoco.MjModel, on_chain: Sequence[int]) -> tuple[int, ...]:
-    """Return the bodies of the robot: all but mocap bodies, and free bodies that are not on the chain to the TCP."""
+    """Return the robot's bodies: all but mocap bodies without joints, and free bodies off the chain to the TCP."""
 
     def is_foreign(body: int) -> bool:
         free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
-        return bool(model.body_mocapid[body] >= 0 or (on_chain and free and body not in on_chain))
+        return is_mocap_alone(model, body) or bool(on_chain and free and body not in on_chain)
 
     return tuple(b for b in range(model.nbody) if not any(map(is_foreign, upwards(model, b))))
 
