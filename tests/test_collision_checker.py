@@ -25,12 +25,12 @@ from htcp_jax.model.kinematics import tcp_position, tip_bounds, tip_segment
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
-from htcp_jax.motion.collision_checker import PLACES, TIP_STEP_M
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion_check import check_remaining_paths, tighten, verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.motion.smoothing import smooth
+from htcp_jax.motion.tip_motions import PLACES, TIP_STEP_M
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.settings import Settings

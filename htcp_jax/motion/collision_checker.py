@@ -28,13 +28,9 @@ from htcp_jax.motion.step_functions import (
     State,
     advance_of,
 )
-from htcp_jax.numerics import ragged_rows
+from htcp_jax.motion.tip_motions import TipMotions
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus
-
-PLACES = 100  # smallest number of intervals of a joint path at whose ends the tip is checked
-BLOCK = 10  # number of these intervals that are excluded together
-TIP_STEP_M = 0.5e-3  # largest travel of the tip within such an interval
 
 Configurations = Float[np.ndarray, "n N"]
 Rows = Bool[np.ndarray, "n"]
@@ -114,9 +110,8 @@ class CollisionChecker:
                 is -resolution_m.
             resolution_m: The proof is D > -resolution_m, see `query_on`.
             deepest: Maximum number of halvings, see `query_on`.
-            tip: True to check the tip at configurations between a and b, PLACES - 1 or more, so that it travels at most
-                TIP_STEP_M in between; if it passes through a wall at one of them, the verdict is IN_COLLISION.
-                Configurations at which bounds on the tip's motion exclude this are not measured.
+            tip: True to check the tip at configurations between a and b, see `tip_motions`; if it passes through a wall
+                at one of them, the verdict is IN_COLLISION.
         """
         proof = self.executor(*prove_call(self.task, inputs, a, b, tube, kept, resolution_m, deepest))
         if self._guard is None or not tip:
@@ -141,47 +136,12 @@ class CollisionChecker:
         return self._tip_free_along(inputs, a, b, clear)
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
-        """Return True for paths marked by `among` whose bare tip does not pass through a wall, see `edges`.
-
-        Paths are divided into shorter and shorter intervals. Intervals within which the tip passes through no wall need
-        no further places: its ends stay near the chords between their positions at the interval's ends.
-        """
+        """Return True for paths marked by `among` whose bare tip does not pass through a wall, see `edges`."""
         good = np.array(among)
-        if self._guard is None or not good.any():
-            return good
-        moves = self._tip.turned(b - a), np.abs(inputs.tool_extension_m)
-        travel, bulge = self._tip.travel_m(*moves), self._tip.bulge_m(*moves)
-        path = np.flatnonzero(good)
-        first = np.zeros_like(path)
-        for parts, places in ((1, PLACES), (PLACES // BLOCK, BLOCK), (BLOCK, 1)):
-            place = first[:, None] + places * np.arange(parts + 1)
-            tips = self._tips(inputs, a, b, np.repeat(path, parts + 1), place.ravel() / PLACES)
-            tips = tips.reshape(-1, parts + 1, 2, 3)
-            tips = np.stack([tips[:, :-1], tips[:, 1:]], axis=2).reshape(-1, 2, 2, 3)  # at both ends of each interval
-            path, first = np.repeat(path, parts), place[:, :-1].ravel()
-            near = self._guard.may_pass(tips, bulge[path] * (places / PLACES) ** 2, self._tip.is_rigid)
-            path, first, tips = path[near], first[near], tips[near]
-            if not len(path):
-                return good
-        for side in (0, 1):
-            inside = (first + side) % PLACES > 0
-            good[path[inside][self._guard.passes(tips[inside, side, 0], tips[inside, side, 1])]] = False
-        counts = np.ceil(travel / TIP_STEP_M)
-        path, first = (each[good[path] & (counts[path] > PLACES)] for each in (path, first))
-        counts = counts[path]
-        begin, end = np.maximum(np.ceil(first * counts / PLACES), 1), np.ceil((first + 1) * counts / PLACES)
-        row, nth = ragged_rows((end - begin).astype(int))
-        if len(row):
-            tips = self._tips(inputs, a, b, path[row], (begin[row] + nth) / counts[row])
-            good[path[row[self._guard.passes(tips[:, 0], tips[:, 1])]]] = False
+        if self._guard is not None and good.any():
+            passing = TipMotions(self.executor, self._guard, self._tip, *tables.gather((inputs, a, b), good)).passing()
+            good[np.flatnonzero(good)[passing]] = False
         return good
-
-    def _tips(
-        self, inputs: LaneInputs, a: Configurations, b: Configurations, path: Int[np.ndarray, "m"], share: np.ndarray
-    ) -> Float[np.ndarray, "m 2 3"]:
-        """Return the tip's ends [m] at shares of the way along paths."""
-        x = a[path] + share[:, None] * (b[path] - a[path])
-        return self.executor(TIP, tables.gather(inputs, path), x)
 
 
 def prove_call(

@@ -5,11 +5,12 @@ from .linearisation import Linearisation, TaskRows, linearise
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 from .of_workpiece import all_obstacles
 from .self_collision import RefusedPair, SelfCollision, make_self_collision, refused_pair
-from .tip_guard import TipGuard, make_tip_guard
+from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
 __all__ = [
     "ContactModel",
     "Linearisation",
+    "NearWalls",
     "PlacedCloud",
     "RefusedPair",
     "SelfCollision",

@@ -6,9 +6,11 @@ beyond its point's eighth neighbour, so that discs overlap where points are spre
 
 A triangle or disc lies in a ball about its middle. The grain is the radius of the largest of these balls. The tip is
 cut into pieces no longer than the grain. Anything that a piece crosses then has its middle within 1.5 grains of the
-piece's middle. A tree finds these candidates, which are then tested exactly. Consecutive tips of a path are first
-excluded together, by the planes of the candidates of their mean.
+piece's middle. A tree finds these candidates, which are then tested exactly. Tips of a path are first excluded
+together: by the tree if they are far from all walls, else by axes that separate their convex hull from the candidates.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -21,8 +23,30 @@ from htcp_jax.numerics import ragged_rows
 
 GRAINS = 100_000  # approximate number of pieces that a mesh is cut into for the search
 INCLUSIVE = 1e-9  # tolerance relative to a triangle's size, so that no line passes between neighbouring triangles
-NEIGHBOURS = 11  # number of consecutive tips that are tested together
+ANY = -1  # in place of a wall's row: any wall
 Ends = Float[np.ndarray, "n 3"]
+
+
+class NearWalls(NamedTuple):
+    """Pairs of a tip, or a group of tips, and a wall that it may pass through."""
+
+    tip: Int[np.ndarray, "m"]  # row of the tip or group
+    wall: Int[np.ndarray, "m"]  # row of the triangle or disc; ANY
+
+    @classmethod
+    def unknown(cls, count: int) -> "NearWalls":
+        """Return pairs of `count` tips or groups that may pass through any wall."""
+        return cls(np.arange(count), np.full(count, ANY))
+
+    def each(self, counts: Int[np.ndarray, "n"]) -> "NearWalls":
+        """Return the pairs after replacing each row by the given number of rows, which follow each other."""
+        pair, nth = ragged_rows(counts[self.tip])
+        return NearWalls((np.cumsum(counts) - counts)[self.tip[pair]] + nth, self.wall[pair])
+
+    def only(self, which: Bool[np.ndarray, "n"]) -> "NearWalls":
+        """Return the pairs of some rows, which are numbered from 0."""
+        mine = which[self.tip]
+        return NearWalls((np.cumsum(which) - 1)[self.tip[mine]], self.wall[mine])
 
 
 class WallTriangles:
@@ -51,11 +75,18 @@ class WallTriangles:
             v, t = _rows_dot(move, other) / det, _rows_dot(ac, other) / det
             return (np.minimum(np.minimum(u, v), 1 - u - v) >= -INCLUSIVE) & (t >= 0) & (t <= 1)
 
-    def plane_distance(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
-        """Return the distance of segments from the planes of triangles [m]; 0 if they cross it, or without a plane."""
-        a, b, c = np.moveaxis(self._corners[rows], 1, 0)
-        normal = np.cross(b - a, c - a)
-        return _one_sided(a, normal, p, q) / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    def least_distance(self, rows: Int[np.ndarray, "n"], tips: Float[np.ndarray, "n k 2 3"]) -> Float[np.ndarray, "n"]:
+        """Return lower bounds on the distances of tips' convex hulls from triangles [m]: gaps along separating axes.
+
+        The axes are the triangle's normal, and those perpendicular to the mean tip and to a side of the triangle.
+        """
+        corners, ends = self._corners[rows], np.concatenate([tips[:, :, 0], tips[:, :, 1]], axis=1)
+        sides, move = np.roll(corners, -1, axis=1) - corners, (tips[:, :, 1] - tips[:, :, 0]).mean(axis=1)
+        normal = np.cross(sides[:, 0], sides[:, 1])
+        axes = np.concatenate([normal[:, None], np.cross(sides, move[:, None])], axis=1).swapaxes(1, 2)
+        wall, tip = corners @ axes, ends @ axes
+        gap = np.maximum(wall.min(axis=1) - tip.max(axis=1), tip.min(axis=1) - wall.max(axis=1))
+        return np.maximum(gap / np.maximum(np.linalg.norm(axes, axis=1), 1e-300), 0.0).max(axis=1)
 
 
 class WallDiscs:
@@ -75,10 +106,16 @@ class WallDiscs:
             point = p + (before / (before - after))[:, None] * (q - p)
             return (before * after <= 0) & (np.linalg.norm(point - disc.points, axis=1) <= disc.radius)
 
-    def plane_distance(self, rows: Int[np.ndarray, "n"], p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
-        """Return the distance of segments from the planes of discs [m]; 0 if they cross it."""
-        disc = self._surface.only(rows)
-        return _one_sided(disc.points, disc.normals, p, q)
+    def least_distance(self, rows: Int[np.ndarray, "n"], tips: Float[np.ndarray, "n k 2 3"]) -> Float[np.ndarray, "n"]:
+        """Return lower bounds on the distances of tips' convex hulls from discs [m]: from their planes, or balls."""
+        disc, ends = self._surface.only(rows), np.concatenate([tips[:, :, 0], tips[:, :, 1]], axis=1)
+        mean, spread = tips.mean(axis=1), np.linalg.norm(tips - tips.mean(axis=1)[:, None], axis=3).max(axis=(1, 2))
+        move = mean[:, 1] - mean[:, 0]
+        share = _rows_dot(disc.points - mean[:, 0], move) / np.maximum(_rows_dot(move, move), 1e-300)
+        away = np.linalg.norm(mean[:, 0] + np.clip(share, 0, 1)[:, None] * move - disc.points, axis=1)
+        height = ((ends - disc.points[:, None]) @ disc.normals[:, :, None])[:, :, 0]
+        over = np.maximum(np.maximum(height.min(axis=1), -height.max(axis=1)), 0.0)
+        return np.maximum(over, away - spread - disc.radius)
 
 
 class TipGuard:
@@ -92,51 +129,56 @@ class TipGuard:
         self._tree = scipy.spatial.cKDTree(wall.middle)
         self._reach = 1.5 * wall.grain * (1 + INCLUSIVE)
 
-    def passes(self, p: Ends, q: Ends) -> Bool[np.ndarray, "n"]:
+    def passes(self, p: Ends, q: Ends, near: NearWalls | None = None) -> Bool[np.ndarray, "n"]:
         """Return True where the segments from p to q, shortened at q by the contact length, pass through a wall.
 
-        Most tips are excluded together with their neighbours, so consecutive tips should be close to each other.
+        Args:
+            p: First ends of the segments [m].
+            q: Second ends, at the TCP [m].
+            near: Walls that each segment may pass through; None: any.
         """
-        rows = np.minimum(np.arange(-(-len(p) // NEIGHBOURS) * NEIGHBOURS), len(p) - 1)
-        groups = np.stack([p, q], axis=1)[rows].reshape(-1, NEIGHBOURS, 2, 3)
-        tip = np.flatnonzero(np.repeat(self.may_pass(groups), NEIGHBOURS)[: len(p)])
-        end = p[tip] + self._shortened(p[tip], q[tip])[1]
-        row, things, _ = self._walls_near(p[tip], end)
+        end = p + self._shortened(p, q)[1]
+        tip, wall = NearWalls.unknown(len(p)) if near is None else near
+        rest = tip[wall == ANY]
+        rest = rest[self._is_near(p[rest], end[rest])]
+        row, walls, _ = self._walls_near(p[rest], end[rest])
+        tip, wall = np.append(tip[wall != ANY], rest[row]), np.append(wall[wall != ANY], walls)
         through = np.zeros(len(p), bool)
-        through[tip[row[self._wall.crossed(things, p[tip[row]], end[row])]]] = True
+        through[tip[self._wall.crossed(wall, p[tip], end[tip])]] = True
         return through
 
-    def may_pass(
-        self, tips: Float[np.ndarray, "n k 2 3"], away_m: float | Float[np.ndarray, "n"] = 0.0, is_rigid: bool = True
-    ) -> Bool[np.ndarray, "n"]:
-        """Return False for groups of tips between which no tip passes through a wall.
-
-        Every point of a tip is near a point of the group's mean tip. If a wall is farther than that from the mean tip,
-        or its plane, on one side of it, no tip of the group passes through this wall.
+    def near_walls(
+        self,
+        tips: Float[np.ndarray, "n k 2 3"],
+        away_m: Float[np.ndarray, "n"],
+        is_rigid: bool,
+        near: NearWalls | None = None,
+    ) -> NearWalls:
+        """Return the walls that tips of groups may pass through: those near the convex hulls of some of the tips.
 
         Args:
-            tips: Both ends of the k tips of each group, the second ones at the TCP [m].
-            away_m: Distance from the tips' convex hull within which the ends of other tips of a group are [m].
+            tips: Both ends of some tips of each group, the second ones at the TCP [m].
+            away_m: Distance from the convex hull of these tips within which all tips of the group are [m].
             is_rigid: True if the tips move rigidly; otherwise the contact length is not subtracted.
+            near: Walls that tips of the groups may pass through as far as known; None: any.
         """
         p, q = tips[:, :, 0], tips[:, :, 1]
         length, move = self._shortened(p, q) if is_rigid else (np.linalg.norm(q - p, axis=2), q - p)
-        ends = np.stack([p, p + move], axis=2)
-        mean = ends.mean(axis=1)
-        away = (1 + INCLUSIVE) * (np.linalg.norm(ends - mean[:, None], axis=3).max(axis=(1, 2), initial=0.0) + away_m)
-        middle, radius = mean.mean(axis=1), np.linalg.norm(mean[:, 1] - mean[:, 0], axis=1) / 2 + away
-        # Most are farther than that from the box of all walls.
-        beyond = np.maximum(np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0)
-        near = (length > 0).any(axis=1) | (not is_rigid)
-        near &= np.linalg.norm(beyond, axis=1) <= (self._reach + radius) * (1 + INCLUSIVE)
-        near[near] = self._is_near(middle[near], radius[near])
-        small = np.flatnonzero(near & (away <= self._wall.grain))
-        row, things, apart = self._walls_near(mean[small, 0], mean[small, 1], away[small].max(initial=0.0))
-        row = small[row]
-        row, things = (each[apart <= self._reach + away[row]] for each in (row, things))
-        near[small] = False
-        near[row[self._wall.plane_distance(things, mean[row, 0], mean[row, 1]) <= away[row] + INCLUSIVE]] = True
-        return near
+        tips, exists = np.stack([p, p + move], axis=2), (length > 0).any(axis=1) | (not is_rigid)
+        mean = tips.mean(axis=1)
+        away_m = (1 + INCLUSIVE) * away_m + INCLUSIVE
+        around = np.linalg.norm(tips - mean[:, None], axis=3).max(axis=(1, 2), initial=0.0) + away_m
+        group, wall = NearWalls.unknown(len(tips)) if near is None else near
+        rest = group[(wall == ANY) & exists[group]]
+        rest = rest[self._is_near(mean[rest, 0], mean[rest, 1], around[rest])]
+        is_large = around[rest] > self._wall.grain  # too many walls are near
+        large, rest = rest[is_large], rest[~is_large]
+        row, walls, apart = self._walls_near(mean[rest, 0], mean[rest, 1], around[rest].max(initial=0.0))
+        meets = apart <= self._reach + around[rest[row]]
+        group = np.append(group[wall != ANY], rest[row[meets]])
+        wall = np.append(wall[wall != ANY], walls[meets])
+        touches = self._wall.least_distance(wall, tips[group]) <= away_m[group]
+        return NearWalls(np.append(group[touches], large), np.append(wall[touches], np.full(len(large), ANY)))
 
     def _walls_near(
         self, p: Ends, q: Ends, away_m: float = 0.0
@@ -148,17 +190,19 @@ class TipGuard:
             q: Second ends [m].
             away_m: Distance beyond which a triangle or disc is not near [m].
         """
-        move, half = q - p, np.linalg.norm(q - p, axis=1) / 2
-        near = np.flatnonzero(self._is_near(p + move / 2, half + away_m))
-        row, middle = _wall_samples(p[near], move[near], np.ceil(2 * half[near] / self._wall.grain).astype(int))
+        row, middle = _wall_samples(p, q - p, np.ceil(np.linalg.norm(q - p, axis=1) / self._wall.grain).astype(int))
         within = self._reach + away_m
         pairs = scipy.spatial.cKDTree(middle).sparse_distance_matrix(self._tree, within, output_type="ndarray")
-        return near[row[pairs["i"]]], pairs["j"], pairs["v"]
+        return row[pairs["i"]], pairs["j"], pairs["v"]
 
-    def _is_near(self, points: Ends, radius_m: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-        """Return True for points that may be within a radius of a piece near a wall [m]."""
-        reach = (self._reach + radius_m) * (1 + INCLUSIVE)
-        return self._tree.query(points, distance_upper_bound=reach.max(initial=0.0))[0] <= reach
+    def _is_near(self, p: Ends, q: Ends, away_m: float | Float[np.ndarray, "n"] = 0.0) -> Bool[np.ndarray, "n"]:
+        """Return False for segments from p to q that are farther than `away_m` from all walls [m]."""
+        reach = (self._reach + np.linalg.norm(q - p, axis=1) / 2 + away_m) * (1 + INCLUSIVE)
+        middle = (p + q) / 2
+        beyond = np.maximum(np.maximum(self._tree.mins - middle, middle - self._tree.maxes), 0.0)
+        near = np.linalg.norm(beyond, axis=1) <= reach  # of the box of all walls
+        near[near] = self._tree.query(middle[near], distance_upper_bound=reach.max(initial=0.0))[0] <= reach[near]
+        return near
 
     def _shortened(
         self, p: Float[np.ndarray, "*n 3"], q: Float[np.ndarray, "*n 3"]
@@ -186,12 +230,6 @@ def _wall_samples(
     row, nth = ragged_rows(counts)
     fraction = (nth + 0.5) / counts[row]
     return row, p[row] + fraction[:, None] * move[row]
-
-
-def _one_sided(point: Ends, normal: Ends, p: Ends, q: Ends) -> Float[np.ndarray, "n"]:
-    """Return the smaller height of the ends p and q over planes, in units of the normal; 0 between two sides."""
-    before, after = _rows_dot(p - point, normal), _rows_dot(q - point, normal)
-    return np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 def _rows_dot(u: Ends, v: Ends) -> Float[np.ndarray, "n"]:
