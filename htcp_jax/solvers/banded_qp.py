@@ -55,7 +55,7 @@ def solve_banded_qp(qp: BandedQP) -> Float[np.ndarray, "n"] | None:
         saved = np.abs(twice * (0.5 * Vu + qp.offset) @ Vu)
         if not np.isfinite(gap):
             return None
-        if gap <= TOLERANCE * max(1.0, saved) and max(np.abs(violation).max(), np.abs(slope).max() / scale) <= TOLERANCE:
+        if max(gap / max(1.0, saved), np.abs(violation).max(), np.abs(slope).max() / scale) <= TOLERANCE:
             return u
         ratio = z / s
         band = (cost + squares @ ratio).reshape(qp.size, qp.bandwidth).T
