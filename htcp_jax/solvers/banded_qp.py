@@ -1,11 +1,11 @@
-"""Interior-point method for least squares with inequalities, in which a row has only variables next to each other.
+"""Interior-point method for QPs whose variables have common terms and constraints only with near variables.
 
-    minimise    sum_r  w_r (V u + e)_r^2
-    subject to  J u <= b
+    minimise    u' H u / 2 + g' u
+    subject to  lower <= B u <= upper,   J u <= b
 
 Mehrotra's predictor-corrector method (Nocedal and Wright, Numerical Optimization, section 16.6). Each iteration solves
-two systems with the matrix 2 V' W V + J' D J. It is banded, and its entries are linear in the diagonals W and D, so one
-sparse product assembles it (`_products`).
+two systems with the banded matrix H + B' D B + J' E J. Its entries are linear in the diagonals D and E, so one sparse
+product assembles it (`_products`).
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 TOLERANCE = 1e-8  # of the inequalities, and relative to 1 or the data of the gradient and of the duality gap
 MOST_ITERATIONS = 100  # most QPs need 8 to 15
@@ -30,36 +30,37 @@ class Rows(NamedTuple):
 
 
 class BandedQP(NamedTuple):
-    """The problem in the module's docstring, with n variables and m inequalities."""
+    """The problem in the module's docstring, with n variables; variables with common rows differ by less than K."""
 
-    size: int  # n
-    bandwidth: int  # the variables of a row differ by less than this
-    V: Rows
-    weights: Float[np.ndarray, "r"]  # w
-    offset: Float[np.ndarray, "r"]  # e
-    J: Sequence[Rows]  # parts of the inequalities' matrix
-    bounds: Float[np.ndarray, "m"]  # b, at least one
+    H: Float[np.ndarray, "n K"]  # entry (j, k) is that of the variables j + k and j
+    g: Float[np.ndarray, "n"]
+    B: Rows  # at least one
+    lower: Float[np.ndarray, "m"]
+    upper: Float[np.ndarray, "m"]
+    J: Sequence[Rows]
+    b: Float[np.ndarray, "r"]
 
 
 def solve_banded_qp(qp: BandedQP) -> Float[np.ndarray, "n"] | None:
     """Return the minimum u, or None if the method does not converge."""
-    V, J, squares, twice = _matrix([qp.V], qp.size), _matrix(qp.J, qp.size), _products(qp.J, qp), 2 * qp.weights
-    Vt, Jt, cost = V.T, J.T, _products([qp.V], qp) @ twice
-    scale = 1 + np.abs(Vt @ (twice * qp.offset)).max()
-    u, Ju = np.zeros(qp.size), np.zeros(len(qp.bounds))
-    s = np.maximum(qp.bounds, SLACK)
+    (size, width), two_sided = qp.H.shape, len(qp.upper)
+    J = _matrix([qp.B, Rows(-qp.B.value, qp.B.column), *qp.J], size)
+    Jt, squares, bounds = J.T, _products([qp.B, *qp.J], size, width), np.concatenate([qp.upper, -qp.lower, qp.b])
+    scale = 1 + np.abs(qp.g).max()
+    u, Ju = np.zeros(size), np.zeros(len(bounds))
+    s = np.maximum(bounds, SLACK)
     z = CENTRE / s
     for _ in range(MOST_ITERATIONS):
-        Vu, gap, violation = V @ u, s @ z, Ju + s - qp.bounds
-        slope = Vt @ (twice * (Vu + qp.offset)) + Jt @ z
-        saved = np.abs(twice * (0.5 * Vu + qp.offset) @ Vu)
+        Hu = blas.dsbmv(width - 1, 1.0, qp.H.T, u, lower=1)
+        slope, gap, violation = Hu + qp.g + Jt @ z, s @ z, Ju + s - bounds
+        saved = abs((0.5 * Hu + qp.g) @ u)
         if not np.isfinite(gap):
             return None
         if max(gap / max(1.0, saved), np.abs(violation).max(), np.abs(slope).max() / scale) <= TOLERANCE:
             return u
         ratio = z / s
-        band = (cost + squares @ ratio).reshape(qp.size, qp.bandwidth).T
-        factor, failed = lapack.dpbtrf(band, lower=1)
+        diagonal = np.concatenate([ratio[:two_sided] + ratio[two_sided : 2 * two_sided], ratio[2 * two_sided :]])
+        factor, failed = lapack.dpbtrf((qp.H + (squares @ diagonal).reshape(size, width)).T, lower=1, overwrite_ab=1)
         if failed:
             return None
 
@@ -90,15 +91,16 @@ def _matrix(parts: Sequence[Rows], size: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((value, column, np.append(0, np.cumsum(lengths))), shape=(len(lengths), size))
 
 
-def _products(parts: Sequence[Rows], qp: BandedQP) -> sparse.csc_matrix:
-    """Return the matrix P for which P @ d is the lower band of sum_r d_r a_r a_r', with the rows a_r.
-
-    The band's entry (j + k, j) is at j * bandwidth + k: transposed, it is LAPACK's.
-    """
+def _products(parts: Sequence[Rows], size: int, width: int) -> sparse.csc_matrix:
+    """Return the matrix P for which P @ d is the band of sum_r d_r a_r a_r', as in `BandedQP.H`, with the rows a_r."""
     pairs = []
     for rows in parts:
         a, b = np.tril_indices(rows.value.shape[1])
-        first, last = rows.column[:, a], rows.column[:, b]
-        place = np.minimum(first, last) * qp.bandwidth + np.abs(last - first)
+        place = band_place(rows.column[:, a], rows.column[:, b], width)
         pairs.append(Rows(rows.value[:, a] * rows.value[:, b], place))
-    return _matrix(pairs, qp.size * qp.bandwidth).T
+    return _matrix(pairs, size * width).T
+
+
+def band_place(a: Int[np.ndarray, "..."], b: Int[np.ndarray, "..."], width: int) -> Int[np.ndarray, "..."]:
+    """Return the place of pairs of variables, broadcast, in a flat table like `BandedQP.H`."""
+    return np.minimum(a, b) * width + np.abs(b - a)

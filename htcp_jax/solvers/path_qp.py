@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.solvers.banded_qp import BandedQP, Rows, solve_banded_qp
+from htcp_jax.solvers.banded_qp import BandedQP, Rows, band_place, solve_banded_qp
 
 DEPENDENT = 1e-10  # singular values of A_i below this share of the largest one count as 0
 STANDS = 1e-12  # a row with smaller entries along all directions is violated by no step
@@ -47,16 +47,9 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
     """Return the steps y of the path's configurations [rad or m]; zeros if the solver fails."""
-    directions, first = _free_directions(qp), int(qp.begins_anywhere)
-    count, joints = qp.lower.shape
-    if not directions.size:
-        return np.zeros((count, joints))
-    at, unit = np.repeat(np.arange(first, count), joints), np.tile(np.eye(joints), (count - first, 1))
-    steps, weights = directions.between(at, -unit, unit), np.tile(qp.weights, count - first)
-    limits, bounds = _inequalities(qp, directions)
-    width, offset = 2 * directions.column.shape[1], np.diff(qp.x[first:], axis=0).ravel()
-    u = solve_banded_qp(BandedQP(directions.size, width, steps, weights, offset, limits, bounds))
-    return np.zeros((count, joints)) if u is None else np.clip(directions.along(u), qp.lower, qp.upper)
+    directions = _free_directions(qp)
+    u = solve_banded_qp(_banded(qp, directions)) if directions.size else None
+    return np.zeros_like(qp.lower) if u is None else np.clip(directions.along(u), qp.lower, qp.upper)
 
 
 class _FreeDirections(NamedTuple):
@@ -94,21 +87,44 @@ def _free_directions(qp: PathQP) -> _FreeDirections:
     return _FreeDirections(Z, np.maximum(number - 1, 0), int(free.sum()))
 
 
-def _inequalities(qp: PathQP, directions: _FreeDirections) -> tuple[list[Rows], Float[np.ndarray, "m"]]:
-    """Return the rows and the bounds of the inequalities.
+def _banded(qp: PathQP, directions: _FreeDirections) -> BandedQP:
+    """Return the QP in the lengths along the free directions."""
+    joints, most = directions.Z.shape[1:]
+    box = Rows(directions.Z.reshape(-1, most), np.repeat(directions.column, joints, axis=0))
+    moves = np.abs(box.value).max(axis=1) > STANDS
+    box, lower, upper = Rows(*(table[moves] for table in box)), qp.lower.ravel()[moves], qp.upper.ravel()[moves]
+    return BandedQP(*_cost(qp, directions), box, lower, upper, *_clearance_rows(qp, directions))
 
-    Clearance rows that no step within the bounds can violate are omitted.
-    """
-    count, joints = qp.lower.shape
+
+def _cost(qp: PathQP, directions: _FreeDirections) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n"]]:
+    """Return the cost's Hessian, as in `BandedQP.H`, and its gradient at the step 0."""
+    Z, column, size = directions
+    count, joints, most = Z.shape
+    pulls = 2 * qp.weights * np.diff(qp.x, axis=0)  # gradient of each segment's cost by its end
+    pulls[: int(qp.begins_anywhere)] = 0.0
+    pull = pulls - np.concatenate([pulls[1:], np.zeros((1, joints))])
+    g = np.bincount(column.ravel(), np.matmul(pull[:, None, :], Z).ravel(), size)
+    segments = np.full(count, 2.0)  # number of segments at each configuration
+    segments[-1] -= 1.0
+    segments[0] -= qp.begins_anywhere
+    weighted, (a, b), width = 2 * qp.weights[:, None] * Z, np.tril_indices(most), 2 * most
+    own = segments[:, None] * np.matmul(Z.transpose(0, 2, 1), weighted)[:, a, b]
+    shared = -np.matmul(Z[1:].transpose(0, 2, 1), weighted[:-1])
+    own_place = band_place(column[:, a], column[:, b], width)
+    shared_place = band_place(column[1:, :, None], column[:-1, None, :], width)
+    place = np.concatenate([own_place.ravel(), shared_place.ravel()])
+    H = np.bincount(place, np.concatenate([own.ravel(), shared.ravel()]), size * width)
+    return H.reshape(size, width), g
+
+
+def _clearance_rows(qp: PathQP, directions: _FreeDirections) -> tuple[list[Rows], Float[np.ndarray, "m"]]:
+    """Return the clearance rows and their bounds, without rows that no step within the trust region can violate."""
     most = np.maximum(-qp.lower, qp.upper)
-    between = 0.5 * (most + np.concatenate([np.zeros((1, joints)), most[:-1]]))
+    between = 0.5 * (most + np.concatenate([np.zeros((1, most.shape[1])), most[:-1]]))
     at = qp.h < np.einsum("prn,pn->pr", np.abs(qp.G), most)
     half_way = qp.c < np.einsum("prn,pn->pr", np.abs(qp.C), between)
-    halves, identity = 0.5 * qp.C[half_way], np.tile(np.eye(joints), (count, 1))
-    box = directions.at(np.repeat(np.arange(count), joints), identity)
+    halves = 0.5 * qp.C[half_way]
     parts = [
-        (box, qp.upper.ravel()),
-        (Rows(-box.value, box.column), -qp.lower.ravel()),
         (directions.at(np.nonzero(at)[0], qp.G[at]), qp.h[at]),
         (directions.between(np.nonzero(half_way)[0], halves, halves), qp.c[half_way]),
     ]
