@@ -2,9 +2,10 @@
 
 from itertools import pairwise
 
+import clarabel
 import numpy as np
 import pytest
-from scipy import optimize
+from scipy import optimize, sparse
 from scipy.linalg import block_diag
 
 from htcp_jax.solvers.path_qp import PathQP, path_cost, solve_path_qp
@@ -73,6 +74,41 @@ def is_a_minimum(qp, y):
     held = np.zeros(len(tight))
     held[tight] = found.x[len(equations) :] if found.success else 0.0
     return found.success, held > 1e-3
+
+
+def by_clarabel(qp):
+    """Minimum by Clarabel: the definition in dense matrices, whose columns are the answers to unit steps."""
+    unit, zero = np.eye(qp.lower.size).reshape(-1, *qp.lower.shape), np.zeros_like(qp.lower)
+    first = int(qp.begins_anywhere)
+    segments = lambda x: np.sqrt(qp.weights) * np.diff(x[first:], axis=0)  # noqa: E731
+    D = np.stack([segments(np.concatenate([np.zeros((1, e.shape[1])), e])).ravel() for e in unit], axis=1)
+    tasks, rows = (np.stack([of(qp, e) - of(qp, zero) for e in unit], axis=1) for of in (task, left))
+    rows = np.concatenate([tasks, -rows, np.eye(zero.size), -np.eye(zero.size)])
+    bounds = np.concatenate([np.zeros(len(tasks)), left(qp, zero), qp.upper.ravel(), -qp.lower.ravel()])
+    cones = [clarabel.ZeroConeT(len(tasks)), clarabel.NonnegativeConeT(len(bounds) - len(tasks))]
+    options = clarabel.DefaultSettings()
+    options.verbose = False
+    cost, pull = sparse.triu(2 * D.T @ D, format="csc"), 2 * D.T @ segments(qp.x).ravel()
+    found = clarabel.DefaultSolver(cost, pull, sparse.csc_matrix(rows), bounds, cones, options).solve()
+    assert str(found.status) == "Solved"
+    return np.asarray(found.x).reshape(zero.shape)
+
+
+@pytest.mark.parametrize("begins_anywhere", [False, True])
+def test_it_finds_what_a_general_solver_finds(begins_anywhere):
+    """Same steps as by Clarabel, which gets all equations and inequalities, with single joints that cannot move."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        qp = random_path(rng, count=12, joints=5, rows=3)
+        moves = rng.random(qp.lower.shape) < 0.9
+        qp = qp._replace(lower=moves * qp.lower, upper=moves * qp.upper, begins_anywhere=begins_anywhere)
+        qp.A[seed % 12] *= seed % 2  # a row of zeros, too
+        y, expected = solve_path_qp(qp), by_clarabel(qp)
+        np.testing.assert_allclose(y, expected, atol=1e-4)
+        start = int(begins_anywhere)
+        assert path_cost((qp.x + np.pad(y, ((1, 0), (0, 0))))[start:], qp.weights) == pytest.approx(
+            path_cost((qp.x + np.pad(expected, ((1, 0), (0, 0))))[start:], qp.weights), abs=1e-6
+        )
 
 
 def test_it_finds_the_minimum():

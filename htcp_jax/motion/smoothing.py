@@ -10,12 +10,12 @@ Via points are smoothed, too. They are dropped if the straight segment without t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles import Linearisation
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
@@ -45,7 +45,7 @@ class SmoothedPath:
     on_path: int  # see `Scenario`
     radius: Float[np.ndarray, "P"]  # radius of each trust region; 0 for a fixed configuration
     begins_anywhere: bool  # True if the start may move, as it is the configuration at the first target
-    seen: Linearisation | None = None  # at each configuration and half way to it: (P, 2, ...)
+    seen: State | None = None  # at each configuration and half way to it: (P, 2, ...)
     slow: int = field(default=0)  # number of consecutive rounds with almost no saving
     rounds: int = 0  # number of rounds so far
 
@@ -93,12 +93,28 @@ class SmoothedPath:
         return StraightPaths(np.full(len(self.target), self.scenario), self.target, x[:-1], x[1:], self.is_via_point)
 
     def without(self, dropped: Bool[np.ndarray, "P"]) -> None:
-        """Remove some configurations, and discard the linearisations."""
+        """Remove some configurations, and discard the states."""
         self.x = self.x[np.append(True, ~dropped)]
         self.target, self.is_via_point, self.radius = (
             a[~dropped] for a in (self.target, self.is_via_point, self.radius)
         )
         self.seen = None
+
+
+class Candidate(NamedTuple):
+    """A path after a step, and what is known about it."""
+
+    step: Float[np.ndarray, "P N"]  # step of the configurations, before they are moved onto their targets [rad or m]
+    x: Float[np.ndarray, "P1 N"]  # the start, then the configurations
+    seen: State  # at each configuration and half way to it: (P, 2, ...)
+    valid: Bool[np.ndarray, "P"]  # True for configurations that satisfy task and margin
+    proven: Bool[np.ndarray, "P"]  # True if the straight joint path to the configuration is proven
+
+    @classmethod
+    def standing(cls, path: SmoothedPath) -> "Candidate":
+        """Return a path after a step of length 0: it is a motion."""
+        always = np.ones(len(path.target), bool)
+        return cls(np.zeros_like(path.x[1:]), path.x, path.seen, always, always)
 
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
@@ -155,25 +171,26 @@ class Smoothing:
 
     def _round(self, paths: list[SmoothedPath]) -> None:
         """Solve one QP per path, and apply the part of its step that is accepted."""
-        tries = [(path, self._step(path), np.ones(len(path.target))) for path in paths]
+        tries = [(path, self._step(path), np.ones(len(path.target)), Candidate.standing(path)) for path in paths]
         for attempt in range(3):
-            again, candidates = [], self._candidates([(path, share[:, None] * y) for path, y, share in tries])
-            for (path, y, share), (x, seen, bad) in zip(tries, candidates, strict=True):
+            again, steps = [], [(path, share[:, None] * y, last) for path, y, share, last in tries]
+            for (path, y, share, _), candidate in zip(tries, self._candidates(steps), strict=True):
+                bad = self._rejected(path, candidate)
                 if attempt == 0:
                     path.radius = np.where(bad, 0.5, 1.5 if not bad.any() else 1.0) * path.radius
                     path.radius = np.minimum(path.radius, TRUST)
                 if bad.any():
                     stays = np.flatnonzero(bad | (share == 0))
                     apart = np.abs(np.arange(len(bad))[:, None] - stays).min(axis=1)
-                    again.append((path, y, np.clip((apart - attempt) / NEIGHBOURS, 0.0, 1.0)))
-                elif self._cost(x) < self._cost(path.x):
-                    path.x, path.seen = x, seen
+                    again.append((path, y, np.clip((apart - attempt) / NEIGHBOURS, 0.0, 1.0), candidate))
+                elif self._cost(candidate.x) < self._cost(path.x):
+                    path.x, path.seen = candidate.x, candidate.seen
             if not (tries := again):
                 return
 
     def _step(self, path: SmoothedPath) -> Float[np.ndarray, "P N"]:
         """Return the step that the QP about the path's current iterate yields [rad or m]."""
-        settings, rows = self._problem.settings, path.seen.clearance
+        settings, rows = self._problem.settings, path.seen.linear.clearance
         aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
         left = np.maximum(rows.distance - aim, 0.0)
         A, G, left = self._task_limits(path, -rows.gradient, left)
@@ -195,54 +212,73 @@ class Smoothing:
         Bands and cones are added at configurations at which the task is required, and half way to configurations after
         the path's first point.
         """
-        task, linear = self._problem.task, path.seen.task
+        task, linear = self._problem.task, path.seen.linear
         if task.is_points:
-            return linear.jacobian[:, 0], G, left
+            return linear.task.jacobian[:, 0], G, left
         count = len(path.target)
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
-        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), path.seen)
+        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), linear)
         rows = self._checker.executor(TASK_ROWS, inputs, flat)
         rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
         requested = np.stack([path.constrained, path.target > path.on_path], axis=1)
         slack = np.where(requested[:, :, None], np.maximum(rows.slack, 0.0), np.inf)
         return rows.jacobian[:, 0], np.concatenate([G, -rows.gradient], 2), np.concatenate([left, slack], 2)
 
-    def _candidates(
-        self, steps: list[tuple[SmoothedPath, np.ndarray]]
-    ) -> list[tuple[np.ndarray, Linearisation, np.ndarray]]:
-        """Return each path's configurations after a step, their linearisations, and True for rejected configurations.
+    def _candidates(self, steps: list[tuple[SmoothedPath, np.ndarray, Candidate]]) -> list[Candidate]:
+        """Return each path after a step.
 
-        Only configurations that moved can be rejected.
+        Args:
+            steps: The paths, their steps (P, N), and the same paths after other steps. Where both steps are equal, what
+                is known is not computed again.
         """
-        paths = [path for path, _ in steps]
-        x = self._settled(steps)
-        seen, good = self._measured(paths, x)
-        segments = [path.segments(at) for path, at in zip(paths, x, strict=True)]
-        edges = self._motions(tables.concatenate(segments), GRAZES)
+        paths, last = [path for path, *_ in steps], [each for *_, each in steps]
+        new = np.concatenate([_differing(path, step, each) for path, step, each in steps])
+        x = self._settled(steps, new[:, 0])
+        seen, good, proven = (
+            tables.concatenate(column)
+            for column in zip(*((each.seen, each.valid, each.proven) for each in last), strict=True)
+        )
+        if new.any():
+            seen = tables.scatter(seen, new, self._states(paths, x, new))
+            good = np.where(new[:, 0], self._valid(paths, seen, new[:, 0]), good)
+            segments = tables.concatenate([path.segments(at) for path, at in zip(paths, x, strict=True)])
+            between = new[:, 1]
+            proven = tables.scatter(proven, between, self._motions(tables.gather(segments, between), GRAZES))
+        rows = _split_by_path(np.arange(len(new)), paths)
+        return [
+            Candidate(step, at, *tables.gather((seen, good, proven), own))
+            for (_, step, _), at, own in zip(steps, x, rows, strict=True)
+        ]
+
+    def _rejected(self, path: SmoothedPath, candidate: Candidate) -> Bool[np.ndarray, "P"]:
+        """Return True for rejected configurations; only configurations that moved can be rejected."""
+        stays, edge = (candidate.x == path.x).all(axis=1), candidate.proven
         if self._problem.scenarios.max_joint_step is not None:
-            edges &= np.concatenate([self._keeps_steps(path, at) for path, at in zip(paths, x, strict=True)])
-        found = []
-        for path, at, here, counts, edge in zip(paths, x, seen, good, _split_by_path(edges, paths), strict=True):
-            stays = (at == path.x).all(axis=1)
-            edge = edge | (stays[1:] & stays[:-1])
-            bad = ~(counts | stays[1:]) | ~edge
-            bad[:-1] |= ~edge[1:]
-            found.append((at, here, bad))
-        return found
+            edge = edge & self._keeps_steps(path, candidate.x)
+        edge = edge | (stays[1:] & stays[:-1])
+        bad = ~(candidate.valid | stays[1:]) | ~edge
+        bad[:-1] |= ~edge[1:]
+        return bad
 
     def _look(self, paths: list[SmoothedPath]) -> None:
         if paths:
-            for path, seen in zip(paths, self._measured(paths, [path.x for path in paths])[0], strict=True):
-                path.seen = seen
+            everywhere = np.ones((sum(len(path.target) for path in paths), 2), bool)
+            seen = self._states(paths, [path.x for path in paths], everywhere)
+            seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
+            for path, rows in zip(paths, _split_by_path(np.arange(len(everywhere)), paths), strict=True):
+                path.seen = tables.gather(seen, rows)
 
-    def _settled(self, steps: list[tuple[SmoothedPath, np.ndarray]]) -> list[np.ndarray]:
+    def _settled(
+        self, steps: list[tuple[SmoothedPath, np.ndarray, Candidate]], new: Bool[np.ndarray, "n"]
+    ) -> list[np.ndarray]:
         """Return the configurations of the paths after a step, including starts.
 
         Configurations that moved and at which the task is required are moved back onto their targets.
         """
-        paths = [path for path, _ in steps]
-        x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y in steps])
-        off = np.concatenate([path.constrained & y.any(axis=1) for path, y in steps])
+        paths = [path for path, *_ in steps]
+        x = np.concatenate([np.clip(path.x[1:] + y, self._lower, self._upper) for path, y, _ in steps])
+        x[~new] = np.concatenate([last.x[1:] for *_, last in steps])[~new]
+        off = new & np.concatenate([path.constrained & y.any(axis=1) for path, y, _ in steps])
         if off.any():
             x[off] = self._checker.project(tables.gather(self._inputs(paths), off), x[off])
         return [
@@ -250,17 +286,16 @@ class Smoothing:
             for path, own in zip(paths, _split_by_path(x, paths), strict=True)
         ]
 
-    def _measured(self, paths: list[SmoothedPath], x: list[np.ndarray]) -> tuple[list[Linearisation], list[np.ndarray]]:
-        """Return the linearisations at configurations and half way to each one, and True for valid configurations."""
-        inputs = self._inputs(paths)
+    def _states(self, paths: list[SmoothedPath], x: list[np.ndarray], rows: Bool[np.ndarray, "n 2"]) -> State:
+        """Return the states at the marked ones of all configurations, and of the places half way to each one."""
         places = np.concatenate([np.stack([at[1:], 0.5 * (at[1:] + at[:-1])], axis=1) for at in x])
-        flat = places.reshape(-1, places.shape[-1])
-        seen = self._checker.states(jax.tree.map(lambda table: np.repeat(table, 2, axis=0), inputs), flat)
-        seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
+        return self._checker.states(tables.gather(self._inputs(paths), np.nonzero(rows)[0]), places[rows])
+
+    def _valid(self, paths: list[SmoothedPath], seen: State, among: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+        """Return True for valid configurations among those marked."""
         residual = np.where(np.concatenate([path.constrained for path in paths]), seen.residual[:, 0], 0.0)
-        good = self._checker.valid(inputs, State(places[:, 0], clearance=seen.clearance[:, 0], residual=residual))
-        linear = [tables.gather(seen.linear, rows) for rows in _split_by_path(np.arange(len(good)), paths)]
-        return linear, _split_by_path(good, paths)
+        at = State(seen.x[:, 0], clearance=seen.clearance[:, 0], residual=residual)
+        return self._checker.valid(self._inputs(paths), at, among)
 
     def _motions(self, segments: StraightPaths, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
         """Return True for joint paths that are proven in at most `most_queries` clearance queries."""
@@ -284,6 +319,13 @@ class Smoothing:
 def _is_given_start(problem: Problem, s: int, x: Float[np.ndarray, "P N"]) -> Bool[np.ndarray, "P"]:
     scenarios = problem.scenarios
     return (x == scenarios.x_start[s]).all(axis=1) & ~scenarios.auto_start[s]
+
+
+def _differing(path: SmoothedPath, step: Float[np.ndarray, "P N"], last: Candidate) -> Bool[np.ndarray, "P 2"]:
+    """Return True where a path differs from the path after another step: at configurations, and half way to each."""
+    differs = (step != last.step).any(axis=1)
+    before = np.append(differs[0] if path.begins_anywhere else False, differs[:-1])
+    return np.stack([differs, differs | before], axis=1)
 
 
 def _split_by_path(table: np.ndarray, paths: list[SmoothedPath]) -> list[np.ndarray]:

@@ -6,7 +6,8 @@ configuration. `active_set` solves it inside compiled functions. On the host a `
 `step_qp.QPSolution` with a `step_qp.QPStatus`; the setting `qp` selects the solver.
 
 `sphere` maximises the null-space objective on the unit sphere of directions (equation (11)): by SQP, interior point,
-Adam or CMA-ES (module `cma_es`). `path_qp` is the QP over a complete path that smooths motions (equation (3)).
+Adam or CMA-ES (module `cma_es`). `path_qp` is the QP over a complete path that smooths motions (equation (3));
+`banded_qp` solves it on the host.
 """
 
 import lazy_loader
