@@ -63,6 +63,7 @@ CASES = (
 
 def main() -> int:
     """Run the case that the first argument names."""
+    sys.argv[1:2] = [each.replace("_", "-") for each in sys.argv[1:2]]
     if len(sys.argv) < 2 or sys.argv[1] not in CASES:
         print(__doc__, file=sys.stderr)
         return 0 if sys.argv[1:] in ([], ["--help"]) else 2

@@ -1,4 +1,4 @@
-"""What a reader met in a model file and did not use."""
+"""Ledger of the elements and attributes that a reader met in a model file and did not use."""
 
 import warnings
 from collections import Counter
