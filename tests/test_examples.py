@@ -65,7 +65,7 @@ def test_a_file_comes_before_the_example_of_its_name(here):
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["pip", "new"], "unknown example 'pip'; valid: cone, duct, paper, pipe, place/duct, "),
+        (["pip", "new"], "unknown example 'pip'; valid: cone, duct, palletizer, paper, pipe, place/duct, "),
         (["pipe"], "the output folder is missing: pass htcp example pipe DIR"),
         (["pipe", "."], ". is not empty; name a new or an empty folder"),
         (["pipe", "file"], "cannot write to file"),

@@ -63,8 +63,9 @@ def coordinate_limits(
 ) -> JointLimits:
     """Return the limits of the coordinates u within which every joint of q = C u + d keeps its own.
 
-    The torque at a coordinate is C^T times the joints' torques, and its own motor supplies all of it: followers have
-    none, so their limits of effort are not used.
+    The torque at a coordinate is C^T times the joints' torques, by the principle of virtual work (Siciliano et al.,
+    Robotics, section 3.8). Its own motor supplies all of it: followers have none, so their limits of effort are not
+    used.
 
     Args:
         factors: C, at most one factor per row. Coordinates that move no link have a row too.

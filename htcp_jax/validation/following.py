@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-_STEPS, EXACT = 3, 1e-10  # Newton steps; largest residual of a constraint after them [rad or m]
+_STEPS, EXACT = 3, 1e-10  # Newton steps; a smaller factor is rounding
+_DISABLED = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY)  # flags of a simulation
 
 
 class Following(NamedTuple):
@@ -35,6 +36,7 @@ class Following(NamedTuple):
         free = np.array([j for j in joints if j not in follow], int)
         if not follow:
             return cls(free, free, np.eye(len(free)), np.zeros(len(free)))
+        model.opt.disableflags &= ~_DISABLED
         rows = [_solved(model, data, free, u, follow) for u in np.vstack([np.zeros(len(free)), np.eye(len(free))])]
         at_zero, factors = rows[0], np.array(rows[1:]).reshape(len(free), -1).T - rows[0][:, None]
         factors = np.where(np.abs(factors) < EXACT, 0.0, factors)
