@@ -20,10 +20,9 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Obstacles, clearance, contacts, is_clear
+from htcp_jax.clearance import Obstacles, clearance, is_clear
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
-from htcp_jax.clearance.obstacles.obstacles import known_contact
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
@@ -66,24 +65,21 @@ def main() -> None:
         print(row(size, ours, alone, path, brute))
         times = zip(NAMES, (ours, alone, path), strict=True)
         rows += [Figure(f"{size:,} points, {name}", us, "us") for name, us in times]
-        verdicts.append(_verdicts(robot, obstacle, where, x, random))
-    print("  points  clear by the margin  with a known contact   clear")
-    for size, (share, cold, known) in zip(CLOUDS, verdicts, strict=True):
-        print(f"{size:8,} {cold:17.2f} us {known:18.2f} us {share:7.0%}")
-        rows += [Figure(f"{size:,} points, {name}", us, "us") for name, us in (("verdict", cold), ("known", known))]
+        verdicts.append(_verdicts(robot, obstacle, where, x))
+    print("  points  clear by the margin   clear")
+    for size, (share, us) in zip(CLOUDS, verdicts, strict=True):
+        print(f"{size:8,} {us:17.2f} us {share:7.0%}")
+        rows.append(Figure(f"{size:,} points, verdict", us, "us"))
     save(chosen.json, rows)
 
 
-def _verdicts(robot, obstacle: Obstacles, where, x: np.ndarray, random) -> tuple[float, float, float]:
-    """Return the share of clear configurations, and the times of a verdict without and with a known contact [us]."""
-    each = lambda function, rows: jax.jit(lambda rows: jax.lax.map(function, rows))(rows)  # noqa: E731
-    near = lambda q: known_contact(robot, obstacle, contacts(robot, obstacle, where, q))  # noqa: E731
-    known = each(near, x + random.normal(0, 0.01, x.shape))
-    clear = lambda q, *known: is_clear(robot, obstacle, where, q, where.margin_m, *known)  # noqa: E731
-    found, again = each(clear, x), each(lambda row: clear(*row), (x, known))
-    distance = each(lambda q: clearance(robot, obstacle, where, q), x)
-    assert (found == (distance > where.margin_m)).all() and (found == again).all()
-    return float(found.mean()), _time(clear, x), _time(lambda row: clear(*row), (x, known))
+def _verdicts(robot, obstacle: Obstacles, where, x: np.ndarray) -> tuple[float, float]:
+    """Return the share of clear configurations, and the time of a verdict [us]."""
+    each = lambda function: jax.jit(lambda rows: jax.lax.map(function, rows))(x)  # noqa: E731
+    clear = lambda q: is_clear(robot, obstacle, where, q, where.margin_m)  # noqa: E731
+    found, distance = each(clear), each(lambda q: clearance(robot, obstacle, where, q))
+    assert (found == (distance > where.margin_m)).all()
+    return float(found.mean()), _time(clear, x)
 
 
 def row(size: int, ours: float, alone: float, path: float, brute: float) -> str:

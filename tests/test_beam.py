@@ -124,6 +124,8 @@ def test_progress_counts_every_target_and_every_scenario():
     last = heard[-1]
     assert last.scenarios_done == last.scenarios == len(toy.scenarios()) and last.targets_tracked == plans.tracked.sum()
     assert [one.targets_tracked for one in heard] == sorted(one.targets_tracked for one in heard)
+    smoothed = [one for one in heard if one.scenarios_done]  # a scenario is finished when its motion is smoothed
+    assert len(smoothed) > 1 and {one.targets_tracked for one in smoothed} == {last.targets_tracked}
 
 
 def test_a_start_in_collision_ends_it_at_once():

@@ -37,9 +37,17 @@ def test_every_missing_scenario_is_in_one_shard_and_each_method_has_its_own_size
     assert [shard.count for shard in shards] == [3, 24, 36, 4, 32, 60, 4]
 
 
-def test_on_a_gpu_shards_are_large_from_the_first_one_however_long_they_take():
-    sizes = ShardSizes.on("gpu", 16, 105)
-    shards = planned(sizes, [Shard("beam", Span(0, 29_999))], 1.0)
-    assert {shard.count for shard in shards[:-1]} == {MOST_TARGETS // 105}
-    huge = ShardSizes.on("gpu", 16, 2 * MOST_TARGETS)
-    assert [shard.count for shard in huge.cut([Shard("beam", Span(0, 1))])] == [1, 1]
+def test_on_gpus_a_shard_fills_them_and_no_smaller_one_is_left():
+    """Quick scenarios: as many as a shard may have; slow ones: 4096 per GPU, and the rest belongs to the last shard."""
+    for scenario_s, count, expected in (
+        (8e-3, 6125, [6125]),
+        (8e-3, 14_000, [4096, 9904]),
+        (1.0, 14_000, [4096, 9904 - 4096, 4096]),
+        (1.0, 5000, [5000]),
+    ):
+        shards = planned(ShardSizes.on("gpu", 16, 50), [Shard("beam", Span(0, count - 1))], scenario_s)
+        assert sorted(shard.count for shard in shards) == sorted(expected), scenario_s
+    twice = ShardSizes.on("gpu", 16, 10, gpus=2)
+    assert [shard.count for shard in planned(twice, [Shard("beam", Span(0, 24_575))], 1.0)] == [8192] * 3
+    few = ShardSizes.on("gpu", 16, 2 * MOST_TARGETS)
+    assert [shard.count for shard in few.cut([Shard("beam", Span(0, 1))])] == [1, 1]

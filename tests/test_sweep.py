@@ -103,7 +103,9 @@ def test_a_run_names_the_solver_that_auto_selected_so_that_another_device_does_n
     asked = {"grid": [{"settings.qp": ["auto", "clarabel"]}]}
     used = [point.config.settings.qp for point in load_sweep(asked, "job.yaml").on("gpu").points()]
     assert used == ["device", "clarabel"] and load_sweep("grid.yaml").on("gpu").config.settings.qp == "device"
-    with pytest.raises(InputError, match=r"settings\.qp was clarabel, now device; choose another --out"):
+    with pytest.raises(
+        InputError, match=r"settings\.qp was clarabel, now device; delete the folder, or choose another"
+    ):
         sweep(load_sweep("grid.yaml").on("gpu"), "baseline", "run")
 
 
@@ -137,14 +139,20 @@ def test_a_limit_may_grow_but_not_shrink(small, shards):
     run = sweep("grid.yaml", "baseline", "run", limit=3, finished=note)
     assert planned == [("baseline", 0, 0), ("baseline", 1, 2)]
     assert run.manifest.count == 3 and run.complete
-    with pytest.raises(InputError, match="run contains this sweep with 3 scenarios, more than 2; choose another --out"):
+    with pytest.raises(
+        InputError,
+        match="run contains this sweep with 3 scenarios, more than 2; delete the folder",
+    ):
         sweep("grid.yaml", "baseline", "run", limit=2)
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"overrides": ["settings.alpha_rad=0.05"]}, "settings.alpha_rad was 0.1, now 0.05; choose another"),
+        (
+            {"overrides": ["settings.alpha_rad=0.05"]},
+            "settings.alpha_rad was 0.1, now 0.05; delete the folder",
+        ),
         ({"overrides": ["margin_m=0"]}, "margin_m was 0.0005, now 0.0"),
         ({"seed": 1}, "settings.seed was 0, now 1"),
         ({"spec": "other.yaml"}, "its grid differs"),

@@ -65,7 +65,8 @@ def place(
     run folder with the motions for view, render, validate and program. A first ranking is written before mountings are
     perturbed. Repeat the command to resume an interrupted search.
 
-    Exit codes: 0 if a mounting is found, 3 if none is, 2 on bad input.
+    Exit codes: 0 if a mounting is found, 3 if none is, 2 on bad input, 130 or 143 after a signal; finished work
+    is kept.
 
     \b
     Examples:

@@ -70,7 +70,8 @@ def plan(
     Writes motion.csv (the configurations to execute), trajectory.csv and trajectory.npz (one row per target),
     summary.json and plan.png.
 
-    Exit codes: 0 if a proven motion leads to the last target, 3 if not (the tracked targets are saved), 2 on bad input.
+    Exit codes: 0 if a proven motion leads to the last target, 3 if not (the tracked targets are saved), 2 on bad input,
+    130 or 143 after a signal.
 
     The value of a key comes from --set, else from the job file, else from the file named by the job's key config, else
     from the defaults for the arm and part. By default your own part is at the world's origin, not rotated.

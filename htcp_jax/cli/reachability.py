@@ -132,7 +132,9 @@ def _beaten_scenarios(run: Run, batch: Batch, found: Reachability) -> dict[str, 
         both = min(len(plans.target), len(found.prefix))
         here, there = tables.gather(batch.scenarios, slice(both)), plans.target[:both]
         if here.targets.shape != there.shape or np.nanmax(_away(here, there), initial=0.0) > 1e-9:
-            raise InputError(f"{run.folder} contains a run with other targets; choose another --out")
+            raise InputError(
+                f"{run.folder} contains a run with other targets; delete the folder, or choose another --out"
+            )
         further = np.flatnonzero(plans.outcomes.tracked[:both] > found.prefix[:both])
         if len(further):
             beaten[method] = further.tolist()

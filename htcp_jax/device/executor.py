@@ -60,7 +60,8 @@ class ExecutableCache:
     def shrink(self, lane_function: LaneFunction, failed: LaneFunction, device: jax.Device) -> bool:
         """Halve a function's tables after a call ran out of memory; return False if they have one row.
 
-        The first time, a warning says so.
+        The first time, a warning says so. They stay halved until the process ends: larger tables would run out of
+        memory again, and round differently, so that results would depend on when they fit.
 
         Args:
             lane_function: The function.

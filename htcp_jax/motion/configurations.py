@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from htcp_jax.numerics import ragged_rows
 
@@ -53,15 +53,17 @@ def dispersed(
         chosen = np.ones(len(places), bool)
         group, nth = ragged_rows(lengths[many])
         rows = first[many][group] + nth
-        chosen[rows] = _farthest_first(x[places[rows]], group, nth, most, apart)
+        chosen[rows] = _farthest_first(x[places[rows]], group, nth, most, apart) >= 0
         places = places[chosen]
     return places
 
 
 def _farthest_first(
     x: Float[np.ndarray, "n N"], group: Int[np.ndarray, "n"], nth: Int[np.ndarray, "n"], most: int, apart: float
-) -> Bool[np.ndarray, "n"]:
-    """Return True for the rows that `farthest_first` selects in each group, starting with its first row.
+) -> Int[np.ndarray, "n"]:
+    """Return each row's place in the order of farthest-point selection in its group, from 0; -1 if it is not selected.
+
+    The first row of a group is selected first.
 
     Args:
         x: Configurations [rad].
@@ -73,15 +75,15 @@ def _farthest_first(
     row = np.zeros((group[-1] + 1, nth.max() + 1), int)
     row[group, nth] = np.arange(len(x))
     joints, every = _by_joint(x, row), np.arange(len(row))
-    kept, distance = np.zeros(row.shape, bool), np.full(row.shape, -1.0)  # -1: there is no such row
+    place, distance = np.full(row.shape, -1), np.full(row.shape, -1.0)  # distance -1: there is no such row
     distance[group, nth] = np.inf
     farthest = np.zeros(len(row), int)
-    for _ in range(most):
+    for k in range(most):
         going = distance[every, farthest] >= apart
-        kept[every[going], farthest[going]] = True
+        place[every[going], farthest[going]] = k
         distance = np.minimum(distance, _distance(joints, joints[:, every, farthest, None]))
         farthest = np.argmax(distance, axis=1)
-    return kept[group, nth]
+    return place[group, nth]
 
 
 def _by_joint(x: Float[np.ndarray, "n N"], row: Int[np.ndarray, "G K"]) -> Float[np.ndarray, "N G K"]:
@@ -129,11 +131,9 @@ def farthest_first(x: Float[np.ndarray, "n N"], first: int, most: int, apart: fl
         most: Maximum number of rows.
         apart: Minimum distance [rad].
     """
-    kept, distance = [first], np.linalg.norm(x - x[first], axis=1)
-    while len(kept) < most and distance.max() >= apart:
-        kept.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(x - x[kept[-1]], axis=1))
-    return kept
+    order = np.append(first, np.delete(np.arange(len(x)), first))
+    place = _farthest_first(x[order], np.zeros_like(order), np.arange(len(x)), most, apart)
+    return order[np.argsort(place, kind="stable")[(place < 0).sum() :]].tolist()
 
 
 def first_apart(

@@ -118,7 +118,10 @@ class Candidate(NamedTuple):
 
 
 def smooth(problem: Problem, plans: Plans) -> Plans:
-    """Return the plans with their executable motions smoothed; call `verify_motions` again afterwards."""
+    """Return the plans with their executable motions smoothed; call `verify_motions` again afterwards.
+
+    Scenarios are reported as finished when their motions are smoothed.
+    """
     ends = plans.outcomes  # computed once for all scenarios
     going = np.flatnonzero(ends.executable).tolist()
     paths = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going]
@@ -128,6 +131,7 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
         for first in range(0, len(mine), TOGETHER):
             smoothing.run(mine[first : first + TOGETHER])
 
+    problem.progress(0, len(problem.to_plan) - len(paths))
     problem.in_threads(work)
     return _written(problem, plans, paths)
 
@@ -151,6 +155,7 @@ class Smoothing:
             for path, cost in zip(going, before, strict=True):
                 path.slow = path.slow + 1 if cost - self._cost(path.x) < GAIN * cost else 0
                 path.rounds += 1
+            self._problem.progress(0, sum(path.done for path in going))
 
     def _cost(self, x: np.ndarray) -> float:
         return path_cost(x, self._weights)

@@ -182,7 +182,7 @@ def _begin_search(folder: Path, search: Search) -> None:
     if differing:
         key = differing[0]
         words = f"{key} is {there.get(key)} in the folder, {requested.get(key)} in this command"
-        raise InputError(f"{folder} contains another search: {words}; choose another --out")
+        raise InputError(f"{folder} contains another search: {words}; delete the folder, or choose another --out")
 
 
 def write_result(

@@ -93,16 +93,18 @@ def _planned_rows(
         rows: Their rows.
     """
     from_home = {k: from_home[s] for k, s in enumerate(rows.tolist()) if s in from_home}
-    plans = _checked_plans(method.plan(problem), problem, method.name)
+    smooths = problem.check_paths and (method.smooth if problem.settings.smooth is None else problem.settings.smooth)
+    unfinished = problem.with_scenarios(problem.scenarios, lambda tracked, *_: problem.progress(tracked, 0))
+    plans = _checked_plans(method.plan(unfinished if smooths else problem), problem, method.name)
     problem = problem.as_planned(plans)
     if problem.check_paths:
         plans = motion_check.check_remaining_paths(problem, plans)
     plans = begin_at_home(problem, plans, from_home)
     if problem.check_paths:
         plans = motion_check.verify_motions(problem, plans)
-        if method.smooth if problem.settings.smooth is None else problem.settings.smooth:
-            smoothed = motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
-            plans = motion_check.tighten(problem, smoothed)
+    if smooths:
+        smoothed = motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
+        plans = motion_check.tighten(problem, smoothed)
     return with_separate_errors(problem, plans)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from htcp_jax.device import processes
+from htcp_jax.device import lane_function, processes
 from htcp_jax.runs.manifest import Span
 
 SHARD_S = 60.0  # aimed planning time of a shard [s]; this much work is lost if a sweep is stopped
@@ -29,29 +29,36 @@ class ShardSizes:
     Args:
         least: Minimum number of scenarios.
         most: Maximum number of scenarios.
+        least_rest: If fewer scenarios than this would be left, they are added to the shard before them.
     """
 
-    def __init__(self, least: int, most: int):
-        self._least, self._most = least, most
+    def __init__(self, least: int, most: int, least_rest: int = 1):
+        self._least, self._most, self._least_rest = least, most, least_rest
         self._sizes: dict[str, int] = {}
 
     @classmethod
-    def on(cls, platform: str, cores: int, targets: int) -> "ShardSizes":
-        """Return the sizes for a kind of device. On a GPU they are large from the first shard, as it plans in parallel.
+    def on(cls, platform: str, cores: int, targets: int, gpus: int = 1) -> "ShardSizes":
+        """Return the sizes for a kind of device. On GPUs a shard has at least the scenarios that they plan in parallel.
 
         Args:
             platform: Name of the platform, such as "cpu".
             cores: Number of CPU cores that plan a shard.
             targets: Number of targets per scenario.
+            gpus: Number of GPUs that plan a shard.
         """
         most = max(1, MOST_TARGETS // targets)
-        return cls(min(most, processes.EACH_PAYS * cores) if platform == "cpu" else most, most)
+        if platform == "cpu":
+            return cls(min(most, processes.EACH_PAYS * cores), most)
+        parallel = min(most, lane_function.STEP.gpu.capacity * gpus)
+        return cls(parallel, most, parallel)
 
     def cut(self, missing: Iterable[Shard]) -> Iterator[Shard]:
         """Yield shards that together have all missing scenarios, each of the size that its method has by then."""
         for method, (first, last) in missing:
             while first <= last:
                 end = min(last, first + self._sizes.get(method, self._least) - 1)
+                if last - end < self._least_rest and last - first < self._most:
+                    end = last
                 yield Shard(method, Span(first, end))
                 first = end + 1
 

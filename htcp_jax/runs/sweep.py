@@ -81,7 +81,8 @@ def sweep(
         Interrupted: On SIGINT or SIGTERM; finished shards are kept in the folder.
         Lost: If workers are lost; finished shards are kept in the folder.
     """
-    first = devices.choose(device_of(on, device))[0]
+    chosen_devices = devices.choose(device_of(on, device))
+    first = chosen_devices[0]
     with devices.on(first):
         chosen = method_names(methods)
         if isinstance(spec, Sweep):
@@ -97,7 +98,7 @@ def sweep(
         batch = spec.batch(limit)
         requested = _manifest(spec, batch, chosen, limit)
         cores = devices.cores() if on == "here" else max(1, int(spec.config.ray.num_cpus))
-        sizes = ShardSizes.on(platform, cores, batch.scenarios.targets.shape[1])
+        sizes = ShardSizes.on(platform, cores, batch.scenarios.targets.shape[1], len(chosen_devices))
         if shard_scenarios is not None:
             sizes = ShardSizes(shard_scenarios, shard_scenarios)
         execution = Execution(device, threads, targets_in_all=targets_in_all)
@@ -126,11 +127,11 @@ def sweep(
                         report_progress(each.shard.method)
                     written.wait()
             except SignalReceived:
-                raise Interrupted(_resume_message(written.run), came[0]) from None
+                raise Interrupted(_resume_message(written.run) + written.failure, came[0]) from None
             except Lost as lost:
                 if came:  # the workers ended because they received the signal, too
-                    raise Interrupted(_resume_message(written.run), came[0]) from None
-                raise Lost(f"{lost}; {_resume_message(written.run)}") from None
+                    raise Interrupted(_resume_message(written.run) + written.failure, came[0]) from None
+                raise Lost(f"{lost}; {_resume_message(written.run)}{written.failure}") from None
             return written.run
 
 

@@ -28,6 +28,8 @@ from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.run_folder import Run, file_fault, open_run
 from htcp_jax.system import files as io_files
 
+REMEDY = "delete the folder, or choose another --out"
+
 
 def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     """Create the requested run in a folder, or continue it, and return the run with its finished shards.
@@ -47,9 +49,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     _lay_out(folder)
     if not (folder / MANIFEST).exists():
         if strangers := _unlisted(folder, set()):
-            raise InputError(
-                f"{folder} contains results without a {MANIFEST}, such as {strangers[0]}; choose another --out"
-            )
+            raise InputError(f"{folder} contains results without a {MANIFEST}, such as {strangers[0]}; {REMEDY}")
         return _write_manifest(Run(folder, requested, keep))
     old = open_run(folder)
     _refuse_other(old, requested)
@@ -100,11 +100,11 @@ def _refuse_other(old: Run, requested: Manifest) -> None:
     differing = identity_differences(_identity(old.manifest), _identity(requested))
     if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
-        raise InputError(f"{old.folder} contains another sweep: {differing[0]}{more}; choose another --out")
+        raise InputError(f"{old.folder} contains another sweep: {differing[0]}{more}; {REMEDY}")
     if requested.count < old.manifest.count:
         raise InputError(
             f"{old.folder} contains this sweep with {old.manifest.count} scenarios, more than {requested.count}; "
-            "choose another --out"
+            + REMEDY
         )
 
 
@@ -112,7 +112,7 @@ def _refuse_other_code(old: Run, requested: Manifest) -> None:
     """Raise InputError if the code of a method or kind of another package has changed since planning."""
     for name, code in requested.code.items():
         if old.manifest.shards and old.manifest.code.get(name, code) != code:
-            raise InputError(f"the code of {name} has changed since {old.folder} was planned; choose another --out")
+            raise InputError(f"the code of {name} has changed since {old.folder} was planned; {REMEDY}")
 
 
 def _warn_of_other_software(old: Run) -> None:

@@ -85,6 +85,12 @@ class WrittenRun:
             if self._finished is not None:
                 self._finished(shard)
 
+    @property
+    def failure(self) -> str:
+        """Words about the error with which the last shard's writing has ended, if any, after the context."""
+        error = self._writing and self._writing.exception()
+        return f"; the last shard is not saved: {error}" if error else ""
+
     def refuse_failure(self) -> None:
         """Raise the exception with which the last shard's writing has ended, if any."""
         if self._writing is not None and self._writing.done():

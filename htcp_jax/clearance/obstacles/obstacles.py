@@ -28,8 +28,8 @@ from htcp_jax.clearance.obstacles.obstacle import (
     slopes,
 )
 from htcp_jax.model import Robot, kinematics
-from htcp_jax.numerics import capsule_point_distance, one_by_one, value_and_jacobian, with_gradient
-from htcp_jax.types import Bool, Float, Int, Joints, Scalar
+from htcp_jax.numerics import one_by_one, value_and_jacobian, with_gradient
+from htcp_jax.types import Bool, Float, Joints, Scalar
 
 
 class ClearanceRows(NamedTuple):
@@ -95,22 +95,6 @@ def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Jo
     return _smallest(kinematics.checked_configuration(robot, x), robot, obstacles, where)
 
 
-class KnownContact(NamedTuple):
-    """A contact at another configuration: a body, and the obstacle's point that was nearest to it."""
-
-    body: Int[jax.Array, ""]
-    witness: Float[jax.Array, "3"]  # world [m]
-    radius: Float[jax.Array, ""]  # distance of the point from the body's axis at which D is 0 [m]; -inf: no contact
-
-
-def known_contact(robot: Robot, obstacles: Obstacles, touch: Contacts) -> KnownContact:
-    """Return the nearest contact whose other side is a point fixed in the world, for the next `is_clear`."""
-    is_fixed = ~touch.plane & (jnp.array(rows_of(robot, obstacles).other) < 0) & jnp.isfinite(touch.distance)
-    row = jnp.argmin(jnp.where(is_fixed, touch.distance, jnp.inf))
-    body = jnp.array(rows_of(robot, obstacles).body)[row]
-    return KnownContact(body, touch.witness[row], jnp.where(is_fixed[row], touch.radius[row], -jnp.inf))
-
-
 @jax.jit
 def is_clear(
     robot: Robot,
@@ -118,7 +102,6 @@ def is_clear(
     where: HasWorkpiecePose,
     x: Joints,
     margin_m: Float[ArrayLike, ""] = 0.0,
-    known: KnownContact | None = None,
 ) -> Bool[jax.Array, ""]:
     """Return True if D(x, O) > margin_m, the verdict of `clearance`; cheaper, as the value is not computed.
 
@@ -131,12 +114,11 @@ def is_clear(
         where: A scenario, or another `HasWorkpiecePose`.
         x: The configuration [rad or m].
         margin_m: Required clearance [m], 0 or more.
-        known: Contact at a similar configuration, which is measured first; ignored for an arm with pieces.
     """
     bodies = bodies_at(robot, where, kinematics.checked_configuration(robot, x))
     margin = jnp.asarray(margin_m, float)
     if backend().is_cpu:
-        return _is_clear_alone(obstacles, robot, where, bodies, margin, known)
+        return _is_clear_alone(obstacles, robot, where, bodies, margin)
     if robot.pieces is not None:
         return _smallest_of(robot, obstacles, where, bodies) > margin
     limit = margin + DECIDED_M
@@ -144,12 +126,9 @@ def is_clear(
 
 
 @one_by_one
-def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, margin, known):
+def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, margin):
     limit, found = margin + DECIDED_M, jnp.full((), jnp.inf)
     capsules = replace(robot, pieces=None)  # a mesh is not nearer than its capsules
-    if known is not None and robot.pieces is None:
-        p, q = bodies.p[known.body], bodies.q[known.body]
-        found = capsule_point_distance(p, q, known.radius, known.witness)
     for each in obstacles:
         measure = lambda each=each: each.any_below(capsules, where, bodies, limit)  # noqa: E731
         found = jax.lax.cond(found < limit, lambda found=found: found, measure)
