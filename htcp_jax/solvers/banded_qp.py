@@ -5,7 +5,8 @@
 
 Mehrotra's predictor-corrector method (Nocedal and Wright, Numerical Optimization, section 16.6). Each iteration solves
 two systems with the banded matrix H + B' D B + J' E J. Its entries are linear in the diagonals D and E, so one sparse
-product assembles it (`_products`).
+product assembles it (`_products`). Clarabel, which orders and factors a general sparse matrix with the equations, takes
+four times as long for a path of 105 targets, and was most of the time of smoothing; it is the reference in the tests.
 """
 
 from collections.abc import Sequence
