@@ -197,6 +197,8 @@ def _swept(tree: Tree, methods: list[str], words: list[str], cache: Path, on: di
         shell_s = time.perf_counter() - began
     is_complete.touch()
     found = {name: json.loads(printed)["methods"][there] for name, there in names.items()}
+    if not any(each["tracked"] for each in found.values()):
+        raise Broken(f"{tree.commit}: no target is tracked; does --config have the part's pose?")
     return {
         "cache": state,
         "shell_s": round(shell_s, 2),
