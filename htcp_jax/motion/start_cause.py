@@ -23,7 +23,6 @@ from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import start_check
 from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
-from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.transfers import drawn_configurations
 from htcp_jax.status import AT_HOME, Status
@@ -69,28 +68,21 @@ def start_causes(problem: Problem, status: Int[np.ndarray, "S"], rounds: int = R
         status: Statuses of the scenarios' first targets.
         rounds: Maximum number of rounds of sampled starts to measure.
     """
-    rows = np.flatnonzero(np.isin(status, CAUSES)).tolist()
-    causes = {s: start_cause(problem, s, Status(int(status[s])), rounds) for s in rows}
-    places = {s: cause.place(problem.scenarios.T_world_workpiece[s]) for s, cause in causes.items()}
-    return {s: cause._replace(description=places[s] + cause.description) for s, cause in causes.items()}
+    rows, scenarios = np.flatnonzero(np.isin(status, CAUSES)).tolist(), problem.scenarios
+    begin = [s for s in rows if status[s] != Status.NO_START]
+    x = np.where(np.isin(status, AT_HOME)[:, None], scenarios.x_home, scenarios.x_start)[begin]
+    causes = {s: _overlap(problem, at) for s, at in zip(begin, _Measured.each(problem, begin, x), strict=True)}
+    causes = {s: cause or StartCause(Status(int(status[s])).message) for s, cause in causes.items()}
+    for s in (s for s in rows if s not in causes):
+        causes[s] = standing_overlap(problem, s) or _without_start(problem, s, rounds)
+    places = {s: causes[s].place(scenarios.T_world_workpiece[s]) for s in rows}
+    return {s: causes[s]._replace(description=places[s] + causes[s].description) for s in rows}
 
 
-def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) -> StartCause:
-    """Return the reason why a scenario cannot begin.
-
-    Args:
-        problem: The problem.
-        s: Row of the scenario.
-        status: The scenario's status, one of `CAUSES`.
-        rounds: Maximum number of rounds of sampled starts to measure.
-    """
-    scenarios = problem.scenarios
-    if status == Status.NO_START:
-        return standing_overlap(problem, s) or _without_start(problem, s, rounds)
-    x = scenarios.x_home[s] if status in AT_HOME else scenarios.x_start[s]
-    found = _Measured(problem, s, x[None])
+def _overlap(problem: Problem, found: "_Measured") -> StartCause | None:
+    """Return the deepest overlap at a configuration, of bodies that do not move if there is one; None without one."""
     if (depth := -found.distance[0]).max() <= 0:
-        return _excluded_overlap(problem, x) or StartCause(status.message)
+        return _excluded_overlap(problem, found.x[0])
     standing = found.stands & (depth > 0)
     row = int(np.where(standing, depth, -np.inf).argmax() if standing.any() else depth.argmax())
     return found.cause(row, 0, always=bool(standing[row]))
@@ -99,7 +91,7 @@ def start_cause(problem: Problem, s: int, status: Status, rounds: int = ROUNDS) 
 def standing_overlap(problem: Problem, s: int) -> StartCause | None:
     """Return the deepest overlap that exists in every configuration of a scenario; None if there is none."""
     (x,) = drawn_configurations(problem, problem.checkers[0], np.array([s]), FIRST_ROUND)
-    found = _Measured(problem, s, x)
+    found = _Measured.at(problem, s, x)
     always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
     row = int(always.argmax())
     return found.cause(row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
@@ -145,7 +137,7 @@ def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, st
         problem: The problem; its first scenario is measured.
         x: The configuration [rad or m].
     """
-    found = _Measured(problem, 0, x[None])
+    found = _Measured.at(problem, 0, x[None])
     name, other = found.pair(int(found.distance[0].argmin()), 0)
     return robots.capsule_label(problem.robot, name), other
 
@@ -153,20 +145,35 @@ def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, st
 class _Measured:
     """Distances of all rows at n configurations of a scenario."""
 
-    def __init__(self, problem: Problem, s: int, x: Float[np.ndarray, "n N"]):
-        self._problem, self._s, self.x = problem, s, x
-        scenarios = problem.scenarios
+    def __init__(
+        self,
+        problem: Problem,
+        s: int,
+        x: Float[np.ndarray, "n N"],
+        distance: Float[np.ndarray, "n R"],
+        points: Float[np.ndarray, "n R 3"],
+    ):
+        self._problem, self._s, self.x, self.distance, self.points = problem, s, x, distance, points
         self._scene = Scene(problem.robot, problem.obstacles, problem.task)
-        inputs = lane_inputs(scenarios, np.full(len(x), s), np.zeros(len(x), int))
-        self.distance: Float[np.ndarray, "n R"]
-        self.points: Float[np.ndarray, "n R 3"]
-        self.distance, self.points = problem.checkers[0].executor(MEASURE, inputs, x)
         links = np.array(problem.robot.capsule_link)
         self.stands: Bool[np.ndarray, "R"] = links[np.array(self._scene.rows.body)] < 0
 
+    @classmethod
+    def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
+        """Return the distances at configurations of one scenario."""
+        return cls(problem, s, x, *problem.checkers[0].executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x))
+
+    @classmethod
+    def each(cls, problem: Problem, scenarios: Sequence[int], x: Float[np.ndarray, "n N"]) -> "list[_Measured]":
+        """Return the distances at one configuration of each scenario, measured in one call."""
+        if not len(x):
+            return []
+        found = problem.checkers[0].executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
+        return [cls(problem, s, *(table[k : k + 1] for table in (x, *found))) for k, s in enumerate(scenarios)]
+
     def pair(self, row: int, k: int) -> tuple[str, str]:
         """Return the name of a row's body, and the name of the obstacle nearest to it at configuration k."""
-        here = jax.tree.map(lambda leaf: jnp.asarray(leaf[self._s]), self._problem.scenarios)
+        here = jax.tree.map(lambda leaf: leaf[self._s], self._problem.scenarios)
         own = robots.lengthen_tool(self._problem.robot, here.tool_extension_m)
         other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
         return own.capsule_names[self._scene.rows.body[row]], other
@@ -187,7 +194,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     """Return the reason why none of the sampled configurations at the first target is a start."""
     checker, scenarios, task = problem.checkers[0], problem.scenarios, problem.task
     drawn = np.concatenate(drawn_configurations(problem, checker, np.full(rounds, s), FIRST_ROUND + np.arange(rounds)))
-    inputs = lane_inputs(scenarios, np.full(len(drawn), s), np.zeros(len(drawn), int))
+    inputs = problem.inputs(np.full(len(drawn), s), 0)
     at = checker.states(inputs, checker.project(inputs, drawn))
     reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"
     if not reached.any():
@@ -196,7 +203,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
         return StartCause(f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of the point")
-    found = _Measured(problem, s, at.x[reached])
+    found = _Measured.at(problem, s, at.x[reached])
     least = found.distance.min(axis=1)
     if clear := int((least > 0).sum()):
         valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
