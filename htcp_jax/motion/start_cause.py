@@ -5,8 +5,9 @@ pairs are measured at the random configurations that were sampled to find a star
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -152,8 +153,10 @@ class _Measured:
         x: Float[np.ndarray, "n N"],
         distance: Float[np.ndarray, "n R"],
         points: Float[np.ndarray, "n R 3"],
+        longer: Callable[[float], Robot],
     ):
         self._problem, self._s, self.x, self.distance, self.points = problem, s, x, distance, points
+        self._longer = longer  # the arm with a tool extension [m]
         self._scene = Scene(problem.robot, problem.obstacles, problem.task)
         links = np.array(problem.robot.capsule_link)
         self.stands: Bool[np.ndarray, "R"] = links[np.array(self._scene.rows.body)] < 0
@@ -161,7 +164,8 @@ class _Measured:
     @classmethod
     def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
         """Return the distances at configurations of one scenario."""
-        return cls(problem, s, x, *problem.checkers[0].executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x))
+        found = problem.checkers[0].executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x)
+        return cls(problem, s, x, *found, partial(robots.lengthen_tool, problem.robot))
 
     @classmethod
     def each(cls, problem: Problem, scenarios: Sequence[int], x: Float[np.ndarray, "n N"]) -> "list[_Measured]":
@@ -169,12 +173,13 @@ class _Measured:
         if not len(x):
             return []
         found = problem.checkers[0].executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
-        return [cls(problem, s, *(table[k : k + 1] for table in (x, *found))) for k, s in enumerate(scenarios)]
+        longer = cache(partial(robots.lengthen_tool, problem.robot))
+        return [cls(problem, s, *(table[k : k + 1] for table in (x, *found)), longer) for k, s in enumerate(scenarios)]
 
     def pair(self, row: int, k: int) -> tuple[str, str]:
         """Return the name of a row's body, and the name of the obstacle nearest to it at configuration k."""
         here = jax.tree.map(lambda leaf: leaf[self._s], self._problem.scenarios)
-        own = robots.lengthen_tool(self._problem.robot, here.tool_extension_m)
+        own = self._longer(float(here.tool_extension_m))
         other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
         return own.capsule_names[self._scene.rows.body[row]], other
 
