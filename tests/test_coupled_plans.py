@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import toy
 from coupled import solved
@@ -111,6 +112,18 @@ def test_a_sweep_keeps_the_followers_of_every_target(tmp_path):
     rows = open_run(run).targets("baseline")
     assert b"follows another joint" in rows.schema.field("q_j4b_rad").metadata[b"description"]
     np.testing.assert_allclose(rows["q_j4b_rad"], 0.1 + 0.5 * rows["j4_rad"].to_numpy(), atol=1e-12)
+
+
+def test_a_sweep_of_joints_that_are_named_like_followers_columns_is_opened(tmp_path):
+    toy.write_sweep(tmp_path, start_rad=START)
+    (tmp_path / "arm.xml").write_text(ARM.replace("j1", "q_j4b"))
+    run = str(tmp_path / "run")
+    assert main(["sweep", str(tmp_path / "grid.yaml"), "--methods", "baseline", "--out", run]) == 0
+    rows = open_run(run).targets("baseline")
+    np.testing.assert_array_equal(rows["q_j4b_rad"], open_run(run).plans("baseline").x[..., 0].ravel())
+    made = pq.read_table(next((tmp_path / "run" / "targets").iterdir()))
+    np.testing.assert_allclose(made["q_q_j4b_rad"], 0.1 + 0.5 * made["j4_rad"].to_numpy(), atol=1e-12)
+    assert b"joint j4b, which follows" in made.schema.field("q_q_j4b_rad").metadata[b"description"]
 
 
 def test_programs_contain_the_joints_that_their_controllers_take(made, tmp_path):

@@ -15,16 +15,20 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+import toy
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.clearance.proof.interval import row_travel_bound
 from htcp_jax.clearance.proof.motion_bound import body_sweep, motion_bound, tcp_sweep
+from htcp_jax.clearance.proof.row_proof import _FeatureSweep
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
-from htcp_jax.model import Coupling, JointLimits, Robot, coordinate_limits, kinematics
+from htcp_jax.model import Coupling, Feature, JointLimits, Robot, coordinate_limits, kinematics
 from htcp_jax.model.coupling import joints_between, moved_by
+from htcp_jax.model.robot import ArmFrame
+from htcp_jax.reachability.configuration_search import _scaled_pose
 from htcp_jax.trajectory.displacement import arm_at, bend_bound, displacement_bound
 from htcp_jax.validation.following import Following
 
@@ -284,3 +288,19 @@ def test_a_box_of_coordinates_confines_the_wrist_of_an_arm_whose_elbow_follows_i
         _, centre, moves = map(np.asarray, cell(x, turns))
         inside = [wrist(x + turns * rng.uniform(-1, 1, 5)) for _ in range(20)]
         assert (np.linalg.norm(np.array(inside) - centre, axis=1) <= moves).all()
+
+
+def test_directions_on_a_rod_and_the_tools_pose_belong_to_their_own_branches():
+    """A rod that turns three times as fast as the shoulder turns its own axes, not the tool."""
+    robot = with_rod(toy.robot())
+    own = dataclasses.replace(robot.coupling, factors=robot.coupling.factors.at[4, 1].set(3.0))
+    robot, rates = dataclasses.replace(robot, coupling=own), jnp.zeros(4).at[1].set(1.0)
+    rod, tool = (Feature(link, (0.0, 0.0, 1.0), is_direction=True) for link in (4, None))
+    turning = [
+        float(_FeatureSweep(robot, (each,), jnp.zeros(4), rates, jnp.array(0.1)).turning) for each in (rod, tool)
+    ]
+    assert turning == [3.0, 1.0]
+    seen = Feature(None, tool.vector, is_direction=True, seen_from=ArmFrame("rod", 4, (0.0,) * 3, ((0.0,) * 3,) * 3))
+    assert float(_FeatureSweep(robot, (seen,), jnp.zeros(4), rates, jnp.array(0.1)).turning) == 4.0
+    x = jnp.asarray(toy.START)
+    np.testing.assert_allclose(_scaled_pose(robot, x), _scaled_pose(toy.robot(), x), atol=1e-12)

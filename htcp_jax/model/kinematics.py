@@ -67,7 +67,10 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 
 def _last_capsules(robot: Robot) -> np.ndarray:
-    """Return the indices of the capsules of the chain's last link that has capsules, without fixtures."""
+    """Return the indices of the capsules of the chain's last link that has capsules.
+
+    Fixtures, which come last, are left out.
+    """
     links = np.delete(robot.capsule_link, robot.attached)
     return np.flatnonzero(links == max(links[links <= robot.tcp_link]))
 
@@ -75,30 +78,41 @@ def _last_capsules(robot: Robot) -> np.ndarray:
 class TipBounds(NamedTuple):
     """Bounds on the motion of the bare tip, without the tool's extension."""
 
-    speeds: Float[np.ndarray, "n"]  # of the tip's points, per unit speed of each of the chain's joints [m/rad or 1]
+    speeds: Float[np.ndarray, "*n C"]  # of the tip's points, per unit speed of the chain's C joints [m/rad or 1]
     is_rigid: bool  # True if both ends of the tip are fixed to the last link
-    factors: Float[np.ndarray, "n N"] | None = None  # the chain's joints by the coordinates; None: they are the same
+    factors: Float[np.ndarray, "C N"] | None = None  # the chain's joints by the coordinates; None: they are the same
+    open_slides: Float[np.ndarray, "C C"] | None = None  # rise of the speeds per |q| of slides without limits; None: 0
+    offsets: Float[np.ndarray, "C"] | float = 0.0  # of the chain's joints, see `Coupling`
 
-    def turned(self, step: Float[np.ndarray, "*n N"]) -> Float[np.ndarray, "*n n"]:
+    def between(self, a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]) -> "TipBounds":
+        """Return the bounds on n straight joint paths from a to b [rad or m]: slides without limits move there only."""
+        if self.open_slides is None:
+            return self
+        ends = (x if self.factors is None else x @ self.factors.T for x in (a, b))
+        farthest = np.maximum(*(np.abs(q + self.offsets) for q in ends))
+        return self._replace(speeds=self.speeds + farthest @ self.open_slides.T)
+
+    def turned(self, step: Float[np.ndarray, "*n N"]) -> Float[np.ndarray, "*n C"]:
         """Return by how much each of the chain's joints moves on straight joint paths [rad or m]."""
         return np.abs(step if self.factors is None else step @ self.factors.T)
 
-    def travel_m(self, turned: Float[np.ndarray, "n N"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def travel_m(self, turned: Float[np.ndarray, "n C"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return bounds on the travel of the tip's points along straight joint paths [m].
 
         Args:
             turned: Travel of each joint [rad or m].
             longer_m: Absolute value of the tool's extension [m].
         """
-        return turned @ self.speeds + longer_m * turned.sum(axis=1)
+        by_speeds = turned @ self.speeds if self.speeds.ndim == 1 else (turned * self.speeds).sum(axis=1)
+        return by_speeds + longer_m * turned.sum(axis=1)
 
-    def bulge_m(self, turned: Float[np.ndarray, "n N"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def bulge_m(self, turned: Float[np.ndarray, "n C"], longer_m: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return bounds on the distance of the tip's points from the lines between their positions at both ends [m].
 
         The second derivative of a point by two joints is at most its speed by the outer one. Arguments as in
         `travel_m`.
         """
-        outer = np.maximum.accumulate(self.speeds[::-1])[::-1]
+        outer = np.maximum.accumulate(self.speeds[..., ::-1], axis=-1)[..., ::-1]
         return turned.sum(axis=1) * self._replace(speeds=outer).travel_m(turned, longer_m) / 8
 
 
@@ -106,17 +120,24 @@ def tip_bounds(robot: Robot) -> TipBounds:
     """Return bounds on the motion of the bare tip, see `tip_segment`.
 
     A speed's bound is the sum of the lengths of the links after the joint, of the tip's distance from its link's
-    origin, and of the slides' travel.
+    origin, and of the slides' travel. For slides without limits, see `TipBounds.between`.
     """
     chain, last = slice(robot.tcp_link + 1), _last_capsules(robot)
     slides = np.array(robot.slides)[chain]
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[chain][1:, :3, 3], axis=1)
-    links += np.where(slides, joint_travel(robot)[chain], 0.0)[1:]
+    travel = np.where(slides, joint_travel(robot)[chain], 0.0)
+    links += np.where(np.isinf(travel), 0.0, travel)[1:]
     ends = np.concatenate([np.asarray(end)[last] for end in (robot.capsule_p, robot.capsule_q)])
     tip = np.linalg.norm(np.vstack([ends, np.asarray(robot.T_link_tcp)[:3, 3]]), axis=1).max()
     speeds = np.where(slides, 1.0, np.append(np.cumsum(links[::-1])[::-1], 0.0) + tip)
-    factors = None if robot.coupling is None else np.asarray(robot.coupling.factors)[chain]
-    return TipBounds(speeds, robot.capsule_link[last[0]] == robot.tcp_link, factors)
+    bounds = TipBounds(speeds, robot.capsule_link[last[0]] == robot.tcp_link)
+    if np.isinf(travel[1:]).any():
+        after = np.triu(np.ones((len(slides), len(slides))), 1)
+        bounds = bounds._replace(open_slides=np.where(slides[:, None] | ~np.isinf(travel), 0.0, after))
+    if robot.coupling is None:
+        return bounds
+    factors, offsets = (np.asarray(each)[chain] for each in (robot.coupling.factors, robot.coupling.offsets))
+    return bounds._replace(factors=factors, offsets=offsets)
 
 
 class ArmShape(NamedTuple):

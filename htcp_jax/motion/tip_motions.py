@@ -47,7 +47,7 @@ class TipMotions:
     ):
         self._executor, self._guard, self._is_rigid = executor, guard, bounds.is_rigid
         self._inputs, self._a, self._b = inputs, a, b
-        moves = bounds.turned(b - a), np.abs(inputs.tool_extension_m)
+        bounds, moves = bounds.between(a, b), (bounds.turned(b - a), np.abs(inputs.tool_extension_m))
         self._steps = np.ceil(bounds.travel_m(*moves) / TIP_STEP_M).astype(int)
         self._bulge_m = bounds.bulge_m(*moves)
 

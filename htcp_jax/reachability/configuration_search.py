@@ -69,7 +69,7 @@ def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quate
     place, turned = task.tcp_place(lane.target), quaternion_matrix(quaternion)
 
     def step(_, x):
-        turn = sine_error(kinematics.link_poses(robot, x)[-1, :3, :3], turned)
+        turn = sine_error(_last_rotation(robot, x), turned)
         error = jnp.concatenate([place - kinematics.tcp_position(robot, x), LENGTH_M * turn])
         jac = jnp.concatenate([kinematics.jacobian(robot, x), LENGTH_M * _angular_velocity(robot, x)])
         return damped_step(robot, x, error, jac, DAMPING)
@@ -90,9 +90,12 @@ MEASURE = lane_function.LaneFunction("measure", measure, tool_cells.MANY)
 
 def _scaled_pose(robot: Robot, x):
     """Return the TCP's position and the last link's rotation matrix, both scaled to metres."""
-    return jnp.concatenate(
-        [kinematics.tcp_position(robot, x), TURN_M * kinematics.link_poses(robot, x)[-1, :3, :3].ravel()]
-    )
+    return jnp.concatenate([kinematics.tcp_position(robot, x), TURN_M * _last_rotation(robot, x).ravel()])
+
+
+def _last_rotation(robot: Robot, x):
+    """Return the rotation matrix of the last link, which carries the TCP."""
+    return kinematics.link_poses(robot, x)[robot.tcp_link, :3, :3]
 
 
 class ConfigurationSearch:

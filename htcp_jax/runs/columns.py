@@ -322,7 +322,9 @@ def description_of(column: str, table: str, joints: Sequence[str]) -> str:
     if column in texts:
         return texts[column]
     if table == "targets" and column.startswith("q_"):
-        return f"joint {column[2:].rpartition('_')[0]}, which follows another joint; derived from the configuration x"
+        while (column := column.removeprefix("q_")) in joints:  # see `tables.follower_columns`
+            pass
+        return f"joint {column.rpartition('_')[0]}, which follows another joint; derived from the configuration x"
     for name, key in (("tcp", "tcp"), ("target", "target_xyz"), ("shift", "shift")):
         if key in texts and column == f"{name}_{axis}_m":
             return f"{texts[key]}: {axis}"

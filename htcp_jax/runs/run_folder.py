@@ -287,7 +287,7 @@ def _read_parquet(file: Path, record: FileRecord, schema: pa.Schema) -> pa.Table
     with io_files.opened(file, file.parents[1]) as stream:
         rows = arrays.read_parquet(stream, file, record.rows, exact=True)
     rows = tables.with_new_columns(rows, schema)
-    followers = [name for name in rows.column_names if name.startswith(tables.FOLLOWER)]
+    followers = [name for name in rows.column_names if name.startswith(tables.FOLLOWER) and name not in schema.names]
     if not rows.drop_columns(followers).schema.equals(schema):
         raise other_format(file.parents[1], f"{file.parent.name}/{file.name} has other columns")
     if len(rows) != record.rows:

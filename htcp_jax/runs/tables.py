@@ -46,12 +46,20 @@ def joint_columns(robot: Robot) -> tuple[str, ...]:
 
 
 def follower_columns(robot: Robot, x: Float[np.ndarray, "*S N"]) -> dict[str, Float[np.ndarray, "*S"]]:
-    """Return the columns of the joints that follow others, by name, at configurations x [rad or m]."""
+    """Return the columns of the joints that follow others, by name, at configurations x [rad or m].
+
+    A name starts with `FOLLOWER`, more than once if a coordinate's column has the name already.
+    """
     if robot.coupling is None:
         return {}
     own, which = robot.coupling, list(robot.followers)
     names = _with_units([own.joint_names[j] for j in which], [robot.slides[j] for j in which])
-    return {FOLLOWER + name: own.positions(x)[..., j] for j, name in zip(which, names, strict=True)}
+    taken = joint_columns(robot)
+
+    def free(name: str) -> str:
+        return free(FOLLOWER + name) if FOLLOWER + name in taken else FOLLOWER + name
+
+    return {free(name): own.positions(x)[..., j] for j, name in zip(which, names, strict=True)}
 
 
 def _with_units(names: Sequence[str], slides: Sequence[bool]) -> tuple[str, ...]:

@@ -15,7 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.clearance.proof.motion_bound import point_bend_bound
-from htcp_jax.model import Feature, FeatureMotion, Region, Robot, Row, RowSlack, Task, TaskPoint, feature_at, kinematics
+from htcp_jax.model import (
+    Feature,
+    FeatureMotion,
+    Region,
+    Robot,
+    Row,
+    RowSlack,
+    Task,
+    TaskPoint,
+    feature_at,
+    kinematics,
+    moved_by,
+)
 from htcp_jax.types import Array, Float, Joints, Scalar, Vector3
 
 IN_TUBE = TaskPoint()  # the row that constrains the TCP's position, which the tube bounds
@@ -78,9 +90,13 @@ class _FeatureSweep(FeatureMotion):
 
     @property
     def turning(self) -> Scalar:
-        """Sum of the chain's hinges' |rates| [rad]."""
-        rates, chain = kinematics.joint_rates(self.robot, self.rates), slice(self.robot.tcp_link + 1)
-        return jnp.sum(jnp.where(np.array(self.robot.slides)[chain], 0.0, jnp.abs(rates[chain])))
+        """Sum of the hinges' |rates| [rad], without hinges on side branches that move no feature."""
+        still, rates = np.array(self.robot.slides), kinematics.joint_rates(self.robot, self.rates)
+        if self.robot.coupling is not None:
+            frames = [f.link for f in self.features] + [f.seen_from.link for f in self.features if f.seen_from]
+            links = [self.robot.tcp_link if link is None else link for link in frames]
+            still |= ~moved_by(self.robot.parents)[links].any(axis=0)
+        return jnp.sum(jnp.where(still, 0.0, jnp.abs(rates)))
 
     @property
     def fastest(self) -> Scalar:
