@@ -12,7 +12,7 @@ from coupled import COMPILER, joint, mimic, solved, urdf
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, load_robot
+from htcp_jax.io.robots import LinkMeshes, import_robot, load_robot
 from htcp_jax.model import kinematics
 from htcp_jax.spec import ComposedModel, PlacedModel
 from htcp_jax.spec import tool as tools
@@ -275,6 +275,10 @@ EQUALITIES = {
         "joint 'push' follows 'reach' by a polynomial; only factor and offset are supported; exclude the links that it "
         "moves with --omit rod",
     ),
+    "a number that is not finite": (
+        '<joint joint1="bend" joint2="reach" polycoef="0 inf"/>',
+        "joint 'bend' follows 'reach' by a polycoef that is not finite",
+    ),
     "connect": ('<connect body1="l4" anchor="0 0 0"/>', "<connect> of l4 and world in <equality> closes a loop"),
     "weld": ('<weld body1="l4" body2="l2"/>', "<weld> of l4 and l2 in <equality> closes a loop, which is"),
     "a loop with a rod": (
@@ -334,6 +338,18 @@ OMITTED = {
 def test_a_moving_link_that_is_omitted_is_listed_in_the_file_and_in_plans(imported, case):
     facts, file = imported(mjcf(OMITTED[case]), "--omit", "rod")
     assert facts["omitted"] == ["rod"] and load_robot(file).omitted == ("rod",)
+
+
+def test_a_loop_above_a_frozen_lift_needs_only_the_links_that_the_loop_moves_omitted(tmp_path):
+    text = mjcf(OMITTED["a loop"]).replace(
+        '<body name="l1"', '<body name="lift"><joint name="z" type="slide"/><body name="l1"'
+    )
+    text = text.replace("</worldbody>", "</body></worldbody>")
+    (tmp_path / "model.xml").write_text(text)
+    with pytest.raises(InputError, match=r"exclude the links that it moves with --omit rod$"):
+        import_robot(tmp_path / "model.xml", "tcp", part="lift")
+    arm = import_robot(tmp_path / "model.xml", "tcp", part="lift", omit=["rod"])
+    assert arm.frozen == ("z", "push") and arm.omitted == ("rod",)
 
 
 def test_another_link_that_is_omitted_is_not_listed(imported):

@@ -15,10 +15,9 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
-from htcp_jax.io.robots.mujoco_models import body_name, is_mocap_alone, joints_of, upwards
+from htcp_jax.io.robots.mujoco_models import FREE, body_name, is_mocap_alone, joints_of, upwards
 
 _TAGS = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def tendon_remarks(root: Element) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
@@ -85,7 +84,8 @@ def check_loops(
         if any(_is_foreign(model, b) for b in tie.bodies):
             ignored.append(text)
             continue
-        loose = [j for body in tie.bodies for b in upwards(model, body) for j in joints_of(model, b) if j in passive]
+        first, second = ({j for b in upwards(model, body) for j in joints_of(model, b)} for body in tie.bodies)
+        loose = (first ^ second).intersection(passive)  # a joint that moves both bodies does not move the tie
         named = moved_bodies(model, loose, shaped)
         if not loose or named:
             remedy = (
@@ -110,5 +110,5 @@ def omit_text(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
 
 def _is_foreign(model: mujoco.MjModel, body: int) -> bool:
     line = list(upwards(model, body))
-    free = any(model.jnt_type[j] == _FREE for b in line for j in joints_of(model, b))
+    free = any(model.jnt_type[j] == FREE for b in line for j in joints_of(model, b))
     return free or any(is_mocap_alone(model, b) for b in line)

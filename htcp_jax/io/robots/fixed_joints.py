@@ -9,10 +9,9 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.followers import followers
 from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
-from htcp_jax.io.robots.mujoco_models import joint_name
+from htcp_jax.io.robots.mujoco_models import HINGE, SLIDE, joint_name
 
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_UNITS = {_HINGE: "rad", _SLIDE: "m"}
+_UNITS = {HINGE: "rad", SLIDE: "m"}
 ROUNDING = 1e-6  # difference between a stated value of a follower and the one that its master gives [rad or m]
 
 
@@ -95,7 +94,7 @@ def fix_followers(
 def _fix(model: mujoco.MjModel, joint: int, value: float) -> None:
     body, axis, anchor = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
     moved = value - model.qpos0[model.jnt_qposadr[joint]]
-    if model.jnt_type[joint] == _HINGE:
+    if model.jnt_type[joint] == HINGE:
         T = shifted_frame(anchor) @ turned_frame(axis, moved) @ shifted_frame(-anchor)
     else:
         T = shifted_frame(moved * axis)

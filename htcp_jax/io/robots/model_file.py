@@ -19,8 +19,6 @@ from htcp_jax.io.robots import joint_limits, remarks
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.chain import (
     FEWEST_JOINTS,
-    HINGE,
-    SLIDE,
     Chain,
     JointMap,
     check_joints,
@@ -32,6 +30,8 @@ from htcp_jax.io.robots.constraints import check_loops
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.frames import site_frame
 from htcp_jax.io.robots.mujoco_models import (
+    HINGE,
+    SLIDE,
     compile_spec,
     delete_all,
     excluded_bodies,
