@@ -327,6 +327,12 @@ def test_limits_without_a_common_value_are_one_line(tmp_path, capsys):
     assert message in refusal(tmp_path, capsys, str(tmp_path / "model.urdf"))
 
 
+def test_a_tendon_that_its_default_switches_off_couples_nothing(imported):
+    text = mjcf('<tendon tendon1="cable"/>').replace("</mujoco>", f"{CABLE}</mujoco>")
+    default = '<default><equality active="false"/></default><worldbody>'
+    assert imported(text.replace("<worldbody>", default))[0]["joints"] == ["pan", "tilt", "reach", "bend", "roll"]
+
+
 OMITTED = {
     "a polynomial": '<joint joint1="push" joint2="reach" polycoef="0 1 2"/>',
     "a loop": '<connect body1="rod" body2="l3" anchor="0 0 0"/>',
@@ -338,6 +344,13 @@ OMITTED = {
 def test_a_moving_link_that_is_omitted_is_listed_in_the_file_and_in_plans(imported, case):
     facts, file = imported(mjcf(OMITTED[case]), "--omit", "rod")
     assert facts["omitted"] == ["rod"] and load_robot(file).omitted == ("rod",)
+
+
+def test_the_name_of_an_omitted_link_may_contain_a_comma(imported):
+    facts, file = imported(
+        mjcf(OMITTED["a follower"]).replace('body name="rod"', 'body name="rod, thin"'), "--omit", "rod, thin"
+    )
+    assert facts["omitted"] == ["rod, thin"] and load_robot(file).omitted == ("rod, thin",)
 
 
 def test_a_loop_above_a_frozen_lift_needs_only_the_links_that_the_loop_moves_omitted(tmp_path):

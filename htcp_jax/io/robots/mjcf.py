@@ -67,7 +67,7 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
     custom = SubElement(root, "custom")
     if arm.omitted:
         custom.append(_comment(OMITTED_HEAD))
-        SubElement(custom, "text", name=OMITTED, data=", ".join(arm.omitted))
+        SubElement(custom, "text", name=OMITTED, data="\n".join(arm.omitted))
     if arm.part is not None:
         custom.append(_comment(PART_HEAD))
         SubElement(custom, "text", name=PART, data=arm.part)
