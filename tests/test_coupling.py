@@ -113,11 +113,12 @@ def within(robot: Robot, count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, robot.dof))
 
 
-def limits_of(lower, upper, factors=(1.0, -2.0, 0.5), offsets=(0.0, 0.25, 0.0)):
+def limits_of(lower, upper):
     joints = JointLimits(
         np.array(lower), np.array(upper), np.array([3.0, 2.0, 9.0]), np.array([np.inf, 8.0, 1.0]), np.array([5.0, 1, 2])
     )
-    return coordinate_limits(np.array(factors)[:, None], np.array(offsets), joints, NAMES, ["a"], "arm.urdf: ")
+    factors, offsets = np.array([[1.0], [-2.0], [0.5]]), np.array([0.0, 0.25, 0.0])
+    return coordinate_limits(factors, offsets, joints, NAMES, ["a"], "arm.urdf: ")
 
 
 def test_a_coordinate_keeps_the_limits_of_every_joint_that_follows_it():
@@ -125,16 +126,33 @@ def test_a_coordinate_keeps_the_limits_of_every_joint_that_follows_it():
     assert [float(each[0]) for each in found] == [-0.5, 0.4, 1.0, 2.0, 5.0]
 
 
-@pytest.mark.parametrize(
-    ("lower", "factors", "message"),
-    [
-        ([0.6, -0.75, -1.0], (1.0, -2.0, 0.5), "joint a has no range within the limits of a and c"),
-        ([-3.0, -0.75, 0.1], (1.0, -2.0, 0.0), "joint c stays at 0, outside its limits 0.1 to 0.2"),
-    ],
-)
-def test_limits_that_no_value_keeps_are_refused_by_name(lower, factors, message):
-    with pytest.raises(InputError, match=f"arm.urdf: {message}"):
-        limits_of(lower, [3.0, 1.25, 0.2], factors)
+def test_limits_that_no_value_keeps_are_refused_by_name():
+    with pytest.raises(InputError, match=r"arm\.urdf: joint a has no range within the limits of a and c"):
+        limits_of([0.6, -0.75, -1.0], [3.0, 1.25, 0.2])
+
+
+MOUSE = """
+<mujoco><compiler angle="radian"/><worldbody><body name="mouse" mocap="true" pos="1 0 1"/>
+  <body><joint name="a" axis="0 1 0"/><geom size="0.1"/>
+    <body pos="1 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1"/>
+      <body name="hand" pos="1 0 0"><joint name="c" axis="0 1 0"/><geom size="0.1"/></body></body></body>
+</worldbody><equality><joint joint1="b" joint2="a" polycoef="0.1 2"/>MORE</equality></mujoco>"""
+
+
+@pytest.mark.parametrize("tie", ["weld", "connect"])
+def test_validation_ignores_what_pulls_an_arm_with_followers_to_a_mocap_body(tie):
+    anchor = 'anchor="0 0 0"' if tie == "connect" else ""
+    more = f'<{tie} body1="mouse" body2="hand" {anchor}/>'
+    model = mujoco.MjModel.from_xml_string(MOUSE.replace("MORE", more))
+    own = Following.of(model, mujoco.MjData(model), np.arange(3), {})
+    np.testing.assert_allclose(own.factors, [[1, 0], [2, 0], [0, 1]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(own.offsets, [0, 0.1, 0], rtol=0, atol=1e-12)
+
+
+def test_validation_refuses_constraints_that_do_not_hold_together():
+    model = mujoco.MjModel.from_xml_string(MOUSE.replace("MORE", '<joint joint1="b" polycoef="0.5"/>'))
+    with pytest.raises(InputError, match="<equality> constraints of the joints b do not hold together"):
+        Following.of(model, mujoco.MjData(model), np.arange(3), {})
 
 
 def test_a_joint_moves_the_links_after_it_on_its_own_branch():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.cli import main
+from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 
 # Two joints on one body, with anchors and a joint that is drawn turned; a slide; two fingers, of which one follows.
@@ -151,6 +152,31 @@ def test_a_follower_with_another_value_is_one_line(toy, capsys, options):
     assert main(["robot", str(toy / "gripper.urdf"), "--tcp", "l3", "--out", str(toy / "arm.xml"), *words]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1 and printed.endswith(f"{FOLLOWER[options]}\n")
+
+
+BEYOND = {  # what is changed in the gripper, further options, and the message
+    "a factor of 3": (
+        (' multiplier="0.5" offset="0.01"', ' multiplier="3"'),
+        ["--fix", "left=0.03"],
+        "right=0.09 is outside the joint's limits, 0 to 0.04 m; this joint follows left at 0.03",
+    ),
+    "held": (
+        ('multiplier="0.5" offset="0.01"', 'multiplier="0" offset="-0.01"'),
+        [],
+        "right=-0.01 is outside the joint's limits, 0 to 0.04 m; this joint follows left",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BEYOND)
+def test_a_follower_is_not_frozen_beyond_its_own_limits(toy, capsys, case):
+    change, words, message = BEYOND[case]
+    (toy / "gripper.urdf").write_text(URDF.replace(*change))
+    words = ["robot", str(toy / "gripper.urdf"), "--tcp", "l3", "--out", str(toy / "arm.xml"), *words]
+    assert main(words) == 2
+    assert capsys.readouterr().err.endswith(f"{message}\n")
+    with pytest.raises(InputError, match=r"robot\.locked: right=.* is outside"):
+        load_robot(toy / "gripper.urdf", tcp_site="l3", locked={"left": 0.03})
 
 
 def test_too_few_joints_are_left(toy, capsys):

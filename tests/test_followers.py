@@ -12,7 +12,7 @@ from coupled import COMPILER, joint, mimic, solved, urdf
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import LinkMeshes, load_robot
+from htcp_jax.io.robots import LinkMeshes, import_robot, load_robot
 from htcp_jax.model import kinematics
 from htcp_jax.spec import ComposedModel, PlacedModel
 from htcp_jax.spec import tool as tools
@@ -275,6 +275,10 @@ EQUALITIES = {
         "joint 'push' follows 'reach' by a polynomial; only factor and offset are supported; exclude the links that it "
         "moves with --omit rod",
     ),
+    "a number that is not finite": (
+        '<joint joint1="bend" joint2="reach" polycoef="0 inf"/>',
+        "joint 'bend' follows 'reach' by a polycoef that is not finite",
+    ),
     "connect": ('<connect body1="l4" anchor="0 0 0"/>', "<connect> of l4 and world in <equality> closes a loop"),
     "weld": ('<weld body1="l4" body2="l2"/>', "<weld> of l4 and l2 in <equality> closes a loop, which is"),
     "a loop with a rod": (
@@ -323,6 +327,12 @@ def test_limits_without_a_common_value_are_one_line(tmp_path, capsys):
     assert message in refusal(tmp_path, capsys, str(tmp_path / "model.urdf"))
 
 
+def test_a_tendon_that_its_default_switches_off_couples_nothing(imported):
+    text = mjcf('<tendon tendon1="cable"/>').replace("</mujoco>", f"{CABLE}</mujoco>")
+    default = '<default><equality active="false"/></default><worldbody>'
+    assert imported(text.replace("<worldbody>", default))[0]["joints"] == ["pan", "tilt", "reach", "bend", "roll"]
+
+
 OMITTED = {
     "a polynomial": '<joint joint1="push" joint2="reach" polycoef="0 1 2"/>',
     "a loop": '<connect body1="rod" body2="l3" anchor="0 0 0"/>',
@@ -334,6 +344,25 @@ OMITTED = {
 def test_a_moving_link_that_is_omitted_is_listed_in_the_file_and_in_plans(imported, case):
     facts, file = imported(mjcf(OMITTED[case]), "--omit", "rod")
     assert facts["omitted"] == ["rod"] and load_robot(file).omitted == ("rod",)
+
+
+def test_the_name_of_an_omitted_link_may_contain_a_comma(imported):
+    facts, file = imported(
+        mjcf(OMITTED["a follower"]).replace('body name="rod"', 'body name="rod, thin"'), "--omit", "rod, thin"
+    )
+    assert facts["omitted"] == ["rod, thin"] and load_robot(file).omitted == ("rod, thin",)
+
+
+def test_a_loop_above_a_frozen_lift_needs_only_the_links_that_the_loop_moves_omitted(tmp_path):
+    text = mjcf(OMITTED["a loop"]).replace(
+        '<body name="l1"', '<body name="lift"><joint name="z" type="slide"/><body name="l1"'
+    )
+    text = text.replace("</worldbody>", "</body></worldbody>")
+    (tmp_path / "model.xml").write_text(text)
+    with pytest.raises(InputError, match=r"exclude the links that it moves with --omit rod$"):
+        import_robot(tmp_path / "model.xml", "tcp", part="lift")
+    arm = import_robot(tmp_path / "model.xml", "tcp", part="lift", omit=["rod"])
+    assert arm.frozen == ("z", "push") and arm.omitted == ("rod",)
 
 
 def test_another_link_that_is_omitted_is_not_listed(imported):

@@ -185,8 +185,8 @@ def test_a_xacro_file_is_expanded_with_the_packages_near_it(macros, tmp_path):
     ("old", "new", "message"),
     [
         ("find parts", "find lost", "no package 'lost' in "),
-        ("find parts", "arg side", "xacro refuses it: Undefined substitution argument side"),
-        ("${top}", "${open('a')}", "xacro refuses it: name 'open' is not defined"),
+        ("find parts", "arg side", "xacro cannot expand it: Undefined substitution argument side"),
+        ("${top}", "${open('a')}", "xacro cannot expand it: name 'open' is not defined"),
     ],
 )
 def test_a_xacro_file_that_cannot_be_expanded_is_refused_in_one_line(macros, old, new, message):

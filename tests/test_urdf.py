@@ -11,6 +11,7 @@ import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import import_robot
+from htcp_jax.io.robots.safe_xml import read_spec
 from htcp_jax.spec.model_source import ComposedModel, PlacedModel
 from htcp_jax.trajectory.limits import joint_limits
 
@@ -386,6 +387,33 @@ def test_the_ledger_of_an_mjcf_file_names_soft_bodies_and_limits_of_motors(tmp_p
         unused = import_robot(tmp_path / "arm.xml", "c").unused
     counts = ["'damping' in <joint> 3", "<actuator> 1", "<deformable> 1", "<keyframe> 1", "<skin> 1"]
     assert sorted(unused) == sorted(["'forcerange' in <actuator> 1", *counts])
+
+
+BOUNDS = {  # text in an MJCF file with a joint that follows another one, and what is named
+    "a tendon's range": (
+        '<tendon><fixed name="cable" range="0 1"><joint joint="ja" coef="1"/></fixed></tendon>',
+        "'range' in <fixed> of cable",
+    ),
+    "a tendon without limits": (
+        '<tendon><fixed range="0 1" limited="false"><joint joint="ja" coef="1"/></fixed></tendon>',
+        None,
+    ),
+    "a flag": ('<option><flag equality="disable"/></option>', "equality='disable' in <flag>"),
+    "a soft body's constraint": ('<equality><flexvert flex="f"/></equality>', "<flexvert>"),
+}
+
+
+@pytest.mark.parametrize("case", BOUNDS)
+def test_limits_of_tendons_and_flags_of_constraints_are_named(tmp_path, case):
+    text, named = BOUNDS[case]
+    body = '<body><joint name="ja"/><geom size="0.1"/><body><joint name="jb"/><geom size="0.1"/></body></body>'
+    pair = '<equality><joint joint1="jb" joint2="ja"/></equality>'
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{pair}{text}</mujoco>")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_spec(tmp_path / "arm.xml")
+    found = [str(each.message).removeprefix(f"{tmp_path / 'arm.xml'}: not used: ") for each in caught]
+    assert found == ([named] if named else [])
 
 
 def test_verbose_lists_the_ledger(tmp_path, capsys):

@@ -76,11 +76,8 @@ def coordinate_limits(
         where: Start of a message, such as "arm.urdf: ".
 
     Raises:
-        InputError: If a joint that never moves is outside its limits, or if no range of a coordinate satisfies all.
+        InputError: If no range of a coordinate satisfies all.
     """
-    for name, value, low, high in zip(names, offsets, limits.lower, limits.upper, strict=True):
-        if not factors[names.index(name)].any() and not low <= value <= high:
-            raise InputError(f"{where}joint {name} stays at {value:g}, outside its limits {low:g} to {high:g}")
     found = []
     for k, coordinate in enumerate(coordinates):
         rows = np.flatnonzero(factors[:, k])

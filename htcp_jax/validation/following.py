@@ -7,7 +7,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from htcp_jax.errors import InputError
+
 _STEPS, EXACT = 3, 1e-10  # Newton steps; a smaller factor is rounding
+_SOLVED = 1e-8  # largest residual of a constraint that holds [rad or m]
 _DISABLED = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY)  # flags of a simulation
 
 
@@ -30,6 +33,9 @@ class Following(NamedTuple):
             data: Its state, in which the fixed joints have their values.
             joints: All joints that are not fixed.
             fixed: Joints that do not move.
+
+        Raises:
+            InputError: If the constraints do not hold together.
         """
         active = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 > 0)
         follow = [j for j in dict.fromkeys(model.eq_obj1id[active].tolist()) if j not in fixed]
@@ -70,15 +76,20 @@ class Following(NamedTuple):
 def _solved(
     model: mujoco.MjModel, data: mujoco.MjData, free: np.ndarray, u: np.ndarray, follow: list[int]
 ) -> Float[np.ndarray, "f"]:
-    """Return the positions of the joints that follow others, from MuJoCo's constraints."""
+    """Return the positions of the joints that follow others, from MuJoCo's constraints between joints alone."""
     own = mujoco.MjData(model)
+    own.eq_active &= (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & np.isin(model.eq_obj1id, follow)
     own.qpos[:] = data.qpos
     own.qpos[free] = u
-    for _ in range(_STEPS):
+    for step in range(_STEPS + 1):
         mujoco.mj_fwdPosition(model, own)
         rows = np.flatnonzero(own.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        jacobian = _dense(model, own)[np.ix_(rows, follow)]
-        own.qpos[follow] -= np.linalg.lstsq(jacobian, own.efc_pos[rows], rcond=None)[0]
+        if step < _STEPS:
+            jacobian = _dense(model, own)[np.ix_(rows, follow)]
+            own.qpos[follow] -= np.linalg.lstsq(jacobian, own.efc_pos[rows], rcond=None)[0]
+    if not (np.abs(own.efc_pos[rows]) < _SOLVED).all():
+        names = ", ".join(model.joint(j).name for j in follow)
+        raise InputError(f"MuJoCo's <equality> constraints of the joints {names} do not hold together")
     return own.qpos[follow].copy()
 
 

@@ -21,11 +21,10 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
-from htcp_jax.io.robots.mujoco_models import joint_name, joints_of, text_of, upwards
+from htcp_jax.io.robots.mujoco_models import HINGE, SLIDE, joint_name, joints_of, text_of, upwards
 from htcp_jax.io.robots.safe_xml import PART
 from htcp_jax.model import JointLimits, coordinate_limits
 
-HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 FEWEST_JOINTS = 3
 MOST_JOINTS = 9  # maximum number of joints if the part moves
 

@@ -196,7 +196,7 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
             elif each.name in PER_JOINT:
                 values.setdefault(each.name, {}).update(zip(own, each.data, strict=True))
             elif each.name == OMITTED:
-                omitted += [prefix + name for name in each.data.split(", ")]
+                omitted += [prefix + name for name in each.data.splitlines()]
             elif each.name == MADE_FROM:
                 tree.add_text(name=prefix + MADE_FROM, data=str(part.placed.file.resolve().parent / each.data))
             elif each.name == LIST:
@@ -213,7 +213,7 @@ def _add_custom(tree: mujoco.MjSpec, parts: Collection[_Part]) -> None:
                 objprm=numbers,
             )
     if omitted:
-        tree.add_text(name=OMITTED, data=", ".join(omitted))
+        tree.add_text(name=OMITTED, data="\n".join(omitted))
     for name, known in values.items():
         complete = all(joint in known for joint in joints)
         if complete or not name.startswith("datasheet"):

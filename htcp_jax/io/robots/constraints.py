@@ -4,31 +4,37 @@ They are not planned: a constraint that a moving joint takes part in is refused,
 have no capsules.
 """
 
+import itertools
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
 import numpy as np
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import remarks
-from htcp_jax.io.robots.mujoco_models import body_name, is_mocap_alone, joints_of, upwards
+from htcp_jax.io.robots.mujoco_models import FREE, body_name, is_mocap_alone, joints_of, unreadable_model, upwards
 
 _TAGS = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD): "weld"}
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-def tendon_remarks(root: Element) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return remarks on the joints, and on the bodies, that a <tendon> in <equality> couples, by their names."""
+def tendon_remarks(root: Element, path: Path) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return remarks on the joints, and on the bodies, that an active <tendon> in <equality> couples, by their names.
+
+    Raises:
+        InputError: For defaults or a <tendon> that MuJoCo refuses.
+    """
+    rows = [row for equality in root.findall("equality") for row in equality.findall("tendon")]
+    active = _are_active(rows, root.findall("default"), path) if rows else ()
     body_of = {site.get("name"): body.get("name", "") for body in root.iter("body") for site in body.findall("site")}
     tendons = {each.get("name"): each for section in root.findall("tendon") for each in section}
     joints: dict[str, list[str]] = {}
     bodies: dict[str, list[str]] = {}
-    for each in [row for equality in root.findall("equality") for row in equality.findall("tendon")]:
-        for name in (each.get("tendon1"), each.get("tendon2")) if each.get("active", "true") != "false" else ():
+    for each in itertools.compress(rows, active):
+        for name in (each.get("tendon1"), each.get("tendon2")):
             for part in tendons.get(name, ()):
                 owner, found = (
                     (part.get("joint"), joints) if part.tag == "joint" else (body_of.get(part.get("site")), bodies)
@@ -36,6 +42,17 @@ def tendon_remarks(root: Element) -> tuple[dict[str, list[str]], dict[str, list[
                 if owner:
                     found.setdefault(owner, []).append(remarks.TENDON + str(name))
     return joints, bodies
+
+
+def _are_active(rows: Sequence[Element], defaults: Sequence[Element], path: Path) -> list[bool]:
+    """Return True for rows of <equality> that are active, by their own attribute or by their class's default."""
+    root = Element("mujoco")
+    root.extend(defaults)
+    SubElement(root, "equality").extend(rows)
+    try:
+        return [bool(each.active) for each in mujoco.MjSpec.from_string(tostring(root, "unicode")).equalities]
+    except (ValueError, mujoco.FatalError) as error:
+        raise unreadable_model(path, error) from None
 
 
 class _Tie(NamedTuple):
@@ -85,7 +102,8 @@ def check_loops(
         if any(_is_foreign(model, b) for b in tie.bodies):
             ignored.append(text)
             continue
-        loose = [j for body in tie.bodies for b in upwards(model, body) for j in joints_of(model, b) if j in passive]
+        first, second = ({j for b in upwards(model, body) for j in joints_of(model, b)} for body in tie.bodies)
+        loose = (first ^ second).intersection(passive)  # a joint that moves both bodies does not move the tie
         named = moved_bodies(model, loose, shaped)
         if not loose or named:
             remedy = (
@@ -110,5 +128,5 @@ def omit_text(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
 
 def _is_foreign(model: mujoco.MjModel, body: int) -> bool:
     line = list(upwards(model, body))
-    free = any(model.jnt_type[j] == _FREE for b in line for j in joints_of(model, b))
+    free = any(model.jnt_type[j] == FREE for b in line for j in joints_of(model, b))
     return free or any(is_mocap_alone(model, b) for b in line)

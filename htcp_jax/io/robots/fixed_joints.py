@@ -9,10 +9,9 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.followers import followers
 from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
-from htcp_jax.io.robots.mujoco_models import joint_name
+from htcp_jax.io.robots.mujoco_models import HINGE, SLIDE, joint_name
 
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_UNITS = {_HINGE: "rad", _SLIDE: "m"}
+_UNITS = {HINGE: "rad", SLIDE: "m"}
 ROUNDING = 1e-6  # difference between a stated value of a follower and the one that its master gives [rad or m]
 
 
@@ -29,8 +28,9 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], w
         Values of the frozen joints, by their indices in the model [rad or m].
 
     Raises:
-        InputError: For an unknown joint, a value beyond the joint's limits, a joint that follows another one, unless
-            its value is the one that its master's gives, and for followers that `followers` refuses.
+        InputError: For an unknown joint, a value beyond the joint's limits or, by its constraint, a follower's, a joint
+            that follows another one, unless its value is the one that its master's gives, and for followers that
+            `followers` refuses.
     """
     known = {joint_name(model, j): j for j in range(model.njnt) if model.jnt_type[j] in _UNITS}
     for name, value in values.items():
@@ -38,24 +38,33 @@ def fix_joints(model: mujoco.MjModel, path: Path, values: Mapping[str, float], w
             valid = ", ".join(known) or "none"
             raise InputError(f"{path}: {where}no hinge or slide joint {name!r}; valid: {valid}")
         j = known[name]
-        lower, upper = model.jnt_range[j]
-        if model.jnt_limited[j] and not lower <= value <= upper:
-            limits = f"{lower:g} to {upper:g} {_UNITS[int(model.jnt_type[j])]}"
-            raise InputError(f"{path}: {where}{name}={value:g} is outside the joint's limits, {limits}")
+        if beyond := _beyond_limits(model, j, value):
+            raise InputError(f"{path}: {where}{name}={value:g} {beyond}")
     fixed = {known[name]: float(value) for name, value in values.items()}
     for j, follower in followers(model, path).items():
         value = None
         if follower.is_held or follower.master in fixed:
             value = follower.at(fixed.get(follower.master, 0.0))
+        rule = "is held" if follower.master < 0 else f"follows {joint_name(model, follower.master)}"
         if j in fixed and (value is None or abs(value - fixed[j]) > ROUNDING):
-            rule = "is held" if follower.master < 0 else f"follows {joint_name(model, follower.master)}"
             remedy = "freeze that joint instead" if value is None else f"it is at {value:.6g}"
             raise InputError(f"{path}: {where}{joint_name(model, j)}={fixed[j]:g}: this joint {rule}; {remedy}")
         if value is not None:
+            if beyond := _beyond_limits(model, j, value, ROUNDING):
+                at = f" at {fixed[follower.master]:g}" if follower.master in fixed else ""
+                raise InputError(f"{path}: {where}{joint_name(model, j)}={value:g} {beyond}; this joint {rule}{at}")
             fixed[j] = value
     for j in sorted(fixed):
         _fix(model, j, fixed[j])
     return fixed
+
+
+def _beyond_limits(model: mujoco.MjModel, joint: int, value: float, rounding: float = 0.0) -> str:
+    """Return the end of a message if a value is outside a joint's limits, else ""."""
+    lower, upper = model.jnt_range[joint]
+    if not model.jnt_limited[joint] or lower - rounding <= value <= upper + rounding:
+        return ""
+    return f"is outside the joint's limits, {lower:g} to {upper:g} {_UNITS[int(model.jnt_type[joint])]}"
 
 
 def fix_followers(
@@ -85,7 +94,7 @@ def fix_followers(
 def _fix(model: mujoco.MjModel, joint: int, value: float) -> None:
     body, axis, anchor = int(model.jnt_bodyid[joint]), model.jnt_axis[joint], model.jnt_pos[joint]
     moved = value - model.qpos0[model.jnt_qposadr[joint]]
-    if model.jnt_type[joint] == _HINGE:
+    if model.jnt_type[joint] == HINGE:
         T = shifted_frame(anchor) @ turned_frame(axis, moved) @ shifted_frame(-anchor)
     else:
         T = shifted_frame(moved * axis)

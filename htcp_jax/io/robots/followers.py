@@ -59,12 +59,16 @@ def followers(model: mujoco.MjModel, path: Path) -> dict[int, Follower]:
         path: Its file, for messages.
 
     Raises:
-        InputError: For a joint that follows several joints, and for joints that follow each other in a circle.
+        InputError: For a coefficient that is not finite, a joint that follows several joints, and joints that
+            follow each other in a circle.
     """
     found: dict[int, Follower] = {}
     drawn_at = model.qpos0[model.jnt_qposadr]
     for k in np.flatnonzero((model.eq_type == _EQUALITY) & (model.eq_active0 > 0)):
         joint, master = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        if not np.isfinite(model.eq_data[k, :5]).all():
+            leader = _leader_text(model, master)
+            raise InputError(f"{path}: joint {joint_name(model, joint)!r} {leader} by a polycoef that is not finite")
         if joint in found:
             both = [_leader_text(model, each) for each in (found[joint].master, master)]
             raise InputError(f"{path}: joint {joint_name(model, joint)!r} {' and '.join(both)}; it can follow only one")

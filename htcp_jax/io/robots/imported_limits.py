@@ -13,7 +13,7 @@ from htcp_jax.io.robots import remarks
 from htcp_jax.io.robots.chain import JointMap
 from htcp_jax.io.robots.composed import PER_JOINT
 from htcp_jax.io.robots.joint_limits import read_joint_limits
-from htcp_jax.io.robots.mujoco_models import has_numeric, joint_name, joint_numbers, model_name
+from htcp_jax.io.robots.mujoco_models import SLIDE, has_numeric, joint_name, joint_numbers, model_name
 
 Numbers = dict[str, Float[np.ndarray, "J"]]  # values of PER_JOINT for all joints of a model, by name
 
@@ -41,7 +41,7 @@ def limits_of(
         speed = numbers.get("speed", np.full(model.njnt, np.inf))[at]
         if note := stated.note((ranges[:, 0], ranges[:, 1]), speed):
             warnings.warn(note, Note, stacklevel=3)
-        slides = [bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE) for j in joints]
+        slides = [bool(model.jnt_type[j] == SLIDE) for j in joints]
         ranges = np.stack(stated.ranges(slides, ranges[:, 0], ranges[:, 1]), axis=1)
         for name, kind in (("speed", "velocity"), ("acceleration", "acceleration")):
             rates = stated.rates(kind)

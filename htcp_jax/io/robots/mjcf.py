@@ -11,7 +11,7 @@ from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.followers import equation
 from htcp_jax.io.robots.link_meshes import VISUAL, cuts_text
 from htcp_jax.io.robots.model_file import EXCLUDED
-from htcp_jax.io.robots.mujoco_models import body_name, excluded_bodies, joint_name
+from htcp_jax.io.robots.mujoco_models import SLIDE, body_name, excluded_bodies, joint_name
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, OMITTED, PART
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
 from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm
@@ -67,7 +67,7 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
     custom = SubElement(root, "custom")
     if arm.omitted:
         custom.append(_comment(OMITTED_HEAD))
-        SubElement(custom, "text", name=OMITTED, data=", ".join(arm.omitted))
+        SubElement(custom, "text", name=OMITTED, data="\n".join(arm.omitted))
     if arm.part is not None:
         custom.append(_comment(PART_HEAD))
         SubElement(custom, "text", name=PART, data=arm.part)
@@ -168,7 +168,7 @@ def _add_followers(root: Element, arm: ImportedArm) -> None:
 
 
 def _joint(model: mujoco.MjModel, j: int) -> dict[str, str]:
-    slides = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+    slides = model.jnt_type[j] == SLIDE
     given = {"type": "slide"} if slides else {}
     given |= {"axis": _numbers_text(model.jnt_axis[j])}
     if model.jnt_pos[j].any():

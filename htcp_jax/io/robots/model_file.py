@@ -19,8 +19,6 @@ from htcp_jax.io.robots import joint_limits, remarks
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.chain import (
     FEWEST_JOINTS,
-    HINGE,
-    SLIDE,
     Chain,
     JointMap,
     check_joints,
@@ -32,6 +30,8 @@ from htcp_jax.io.robots.constraints import check_loops
 from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.frames import site_frame
 from htcp_jax.io.robots.mujoco_models import (
+    HINGE,
+    SLIDE,
     compile_spec,
     delete_all,
     excluded_bodies,
@@ -160,7 +160,6 @@ def read_robot_file(
     _check_numbers(path, arrays)
     rates = {name: _positive_numbers(model, path, name, joints) for name in ("speed", "acceleration")}
     arrays |= mapped.limits(model, path, ranges, **rates, effort=_effort(model)[joints])._asdict()
-    omitted = text_of(model, OMITTED)
     facts = {
         "name": arm_name,
         "joint_names": tuple(joint_name(model, j) for j in mapped.free),
@@ -173,7 +172,7 @@ def read_robot_file(
         "frames": _named_frames(model, frames, moving=True),
         "base_frames": _named_frames(model, frames, moving=False),
         "world": _arm_frame(robot.WORLD.name, *frames[0]) if chain.root else robot.WORLD,
-        "omitted": tuple(omitted.split(", ")) if omitted else (),
+        "omitted": tuple((text_of(model, OMITTED) or "").splitlines()),
     }
     remarks.note_limits(model, path, joints, ranges, rates)
     free = tuple(slides[joints.index(j)] for j in mapped.free)

@@ -11,6 +11,8 @@ import numpy as np
 
 from htcp_jax.errors import InputError
 
+HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 LEAST_EIGENVALUE = 1e-14  # MuJoCo refuses an inertia with a smaller one, negated [kg m2]
 
 

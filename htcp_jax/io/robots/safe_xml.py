@@ -56,6 +56,8 @@ VALID = {  # children of some sections, as anything else there, such as a mispla
 }
 # Children to keep in some kept elements.
 ONLY = {"asset": ("mesh",), "contact": ("exclude",), "equality": ("connect", "joint", "weld")}
+NAMED = {"deformable", "flex", "flexstrain", "flexvert"}  # removed elements that are named
+TENDONS = {"fixed", "spatial", "tendon"}  # tendons, and their defaults
 # Elements that generate bodies and joints.
 REFUSED = {"attach", "composite", "flexcomp", "replicate"}
 
@@ -109,7 +111,7 @@ def read_spec(path: Path, *, meshes: bool = False, visual: bool = False, contact
         check_tree(root, path)
         joints = read_joints(root, path)
     elif root.tag == "mujoco":
-        of_joints, bodies = constraints.tendon_remarks(root)
+        of_joints, bodies = constraints.tendon_remarks(root, path)
         joints = UrdfJoints({}, of_joints, {})
         kept = {*(MESHES if meshes else ()), *(CONTACTS if contacts else ())}
         _leave_out(root, path, LEFT_OUT - kept, ledger)
@@ -274,9 +276,21 @@ def _included(include: ElementTree.Element, path: Path, own: Path) -> Path:
     return file
 
 
-def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger: Ledger) -> None:
+def _name_bounds(root: ElementTree.Element, ledger: Ledger) -> None:
+    """Name limits of motors and tendons, and flags that switch off joints' constraints: plans do not use them."""
     if any("forcerange" in each.attrib for each in root.iter()):
         ledger.name("'forcerange' in <actuator>")
+    for each in root.iter():
+        if each.tag in TENDONS and "range" in each.attrib and each.get("limited") != "false":
+            ledger.name(f"'range' in <{each.tag}>", each.get("name", ""))
+    for flag in root.findall("option/flag") if root.find("equality/joint") is not None else ():
+        for name in ("constraint", "equality"):
+            if flag.get(name) == "disable":
+                ledger.name(f"{name}='disable' in <flag>")
+
+
+def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger: Ledger) -> None:
+    _name_bounds(root, ledger)
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in REFUSED:
@@ -287,7 +301,7 @@ def _leave_out(root: ElementTree.Element, path: Path, unwanted: set[str], ledger
             is_text = child.tag in ("text", "tuple") and not OWN.fullmatch(child.get("name", ""))
             if child.tag in unwanted or is_text or child.tag not in ONLY.get(parent.tag, (child.tag,)):
                 parent.remove(child)
-                (ledger.name if child.tag == "deformable" else ledger.count)(f"<{child.tag}>")
+                (ledger.name if child.tag in NAMED else ledger.count)(f"<{child.tag}>")
         for name in HARMLESS.intersection(parent.attrib):
             ledger.count(f"{name!r} in <{parent.tag}>")
         parent.attrib.pop("material", None)

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.chain import FEWEST_JOINTS, SLIDE
+from htcp_jax.io.robots.chain import FEWEST_JOINTS
 from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.frames import site_frame
-from htcp_jax.io.robots.mujoco_models import joint_name, joints_of, upwards
+from htcp_jax.io.robots.mujoco_models import SLIDE, joint_name, joints_of, upwards
 from htcp_jax.io.robots.remarks import MOST_NAMED, listed
 
 SURE = "tcp", "tool0"  # names of the TCP or the flange that take precedence

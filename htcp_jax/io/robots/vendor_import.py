@@ -31,6 +31,7 @@ from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.imported_limits import limits_of, write_ranges
 from htcp_jax.io.robots.ledger import Ledger
 from htcp_jax.io.robots.mujoco_models import (
+    FREE,
     body_name,
     compile_spec,
     delete_all,
@@ -51,7 +52,6 @@ from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
 ROUND = "capsule", "sphere"
 CLOSE_LINKS = 2  # number of last links whose bodies are fitted within a tolerance
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class BodyCover(NamedTuple):
@@ -331,7 +331,7 @@ def _robot_bodies(model: mujoco.MjModel, on_chain: Sequence[int]) -> tuple[int, 
     """Return the robot's bodies: all but mocap bodies without joints, and free bodies off the chain to the TCP."""
 
     def is_foreign(body: int) -> bool:
-        free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == _FREE
+        free = model.body_jntnum[body] and model.jnt_type[model.body_jntadr[body]] == FREE
         return is_mocap_alone(model, body) or bool(on_chain and free and body not in on_chain)
 
     return tuple(b for b in range(model.nbody) if not any(map(is_foreign, upwards(model, b))))

@@ -28,7 +28,7 @@ def expand(path: Path, ending: str = ".urdf") -> Expanded:
         ending: Ending of the expanded file, for messages.
 
     Raises:
-        InputError: If the extra `xacro` is not installed, and for a file that xacro refuses.
+        InputError: If the extra `xacro` is not installed, and for a file that xacro cannot expand.
     """
     if importlib.util.find_spec("xacrodoc") is None:
         made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
@@ -50,7 +50,7 @@ def expand(path: Path, ending: str = ".urdf") -> Expanded:
         except Exception as error:  # of xacro, of its YAML and XML parsers, and of Python expressions
             cause = getattr(error, "exc", error)
             if not isinstance(cause, packages.PackageNotFoundError) or cause.args[0] in known:
-                raise InputError(f"{path}: xacro refuses it: {' '.join(str(error).split())}") from None
+                raise InputError(f"{path}: xacro cannot expand it: {' '.join(str(error).split())}") from None
             known[cause.args[0]] = _package(path, cause.args[0])
 
 
