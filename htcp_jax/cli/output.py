@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +22,7 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -90,6 +92,14 @@ def print_facts(title: str, facts: Mapping[str, str]) -> None:
         console.print(Text.assemble((f"{name:<{width}}", "cyan"), value))
 
 
+class ElapsedColumn(TimeElapsedColumn):
+    """Time since a bar began. It goes on after the last step, while the results are written."""
+
+    def render(self, task: Task) -> Text:
+        """Return the time as text."""
+        return Text(str(timedelta(seconds=int(task.elapsed or 0))), style="progress.elapsed")
+
+
 @contextmanager
 def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: Any) -> Iterator[Progress]:
     """Show progress bars until the block ends. If stderr is not a terminal, print one of them as a line at intervals.
@@ -99,7 +109,7 @@ def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: 
         line_s: Time between lines [s]; by default LINE_S.
         **how: Arguments passed on to `rich.progress.Progress`.
     """
-    columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), ElapsedColumn())
     console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
         if not console.is_terminal:
@@ -132,7 +142,7 @@ def progress_bar(
         time_left: True shows the remaining time, False the elapsed time.
         line_s: See `progress_bars`.
     """
-    time = TimeRemainingColumn() if time_left else TimeElapsedColumn()
+    time = TimeRemainingColumn() if time_left else ElapsedColumn()
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
     with progress_bars(*columns, line_s=line_s) as bars:
         task = bars.add_task(first or what, total=None)

@@ -7,11 +7,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn
 from rich.text import Text
 
 from htcp_jax import report
-from htcp_jax.cli.output import Device, Json, claim_device, print_facts, print_json, print_table, progress_bars, stdout
+from htcp_jax.cli.output import (
+    Device,
+    ElapsedColumn,
+    Json,
+    claim_device,
+    print_facts,
+    print_json,
+    print_table,
+    progress_bars,
+    stdout,
+)
 from htcp_jax.errors import InputError
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
@@ -106,7 +116,7 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 
     Before the first bar, the maximum number of plans is printed, unless `announced` is True.
     """
-    columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn()
+    columns = TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.fields[text]}"), ElapsedColumn()
     with progress_bars(*columns) as bars:
         tasks: dict[str, Any] = {}
 
