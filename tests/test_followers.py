@@ -365,9 +365,12 @@ def test_a_loop_above_a_frozen_lift_needs_only_the_links_that_the_loop_moves_omi
     assert arm.frozen == ("z", "push") and arm.omitted == ("rod",)
 
 
-def test_another_link_that_is_omitted_is_not_listed(imported):
-    facts, file = imported(mjcf(OMITTED["a follower"]), "--omit", "l1")
-    assert "omitted" not in facts and load_robot(file).omitted == ()
+def test_a_link_of_the_chain_is_listed_if_no_capsule_is_left_on_it(imported):
+    hand = '<body name="plate"><geom name="plate" size="0.01"/></body><site name="tcp"'
+    text = mjcf(OMITTED["a follower"]).replace('<site name="tcp"', hand)
+    facts, file = imported(text, "--omit", "l2", "--omit", "plate")
+    assert facts["omitted"] == ["l2"] and load_robot(file).omitted == ("l2",)
+    assert imported(text, "--omit", "l4", "--omit", "plate")[0]["omitted"] == ["l4", "plate"]
 
 
 def test_a_mimic_of_a_fixed_joint_holds_the_joint_at_its_offset(imported):
