@@ -456,6 +456,18 @@ def test_the_vendors_meshes_move_with_the_followers(imported):
             np.testing.assert_allclose(found, data.body(name).xpos, rtol=0, atol=1e-9)
 
 
+def test_warnings_on_an_arms_file_are_not_repeated_for_its_meshes(imported, tmp_path, monkeypatch):
+    _, file = imported(WRIST)
+    motor = '<actuator><motor joint="a1" forcerange="-9 9"/></actuator></mujoco>'
+    file.write_text(file.read_text().replace("</mujoco>", motor))
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(UserWarning, match=r"arm\.xml: not used: 'forcerange' in <actuator>"):
+        arm = load_robot("arm.xml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm.meshes.deepest_m(*arm.capsule_names[:2], np.zeros(arm.dof))
+
+
 def test_an_imported_arm_is_imported_again_with_its_followers(imported):
     first, file = imported(ARMS["a parallelogram's rods"][0])
     whole = load_robot(file)
