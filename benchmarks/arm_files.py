@@ -277,11 +277,16 @@ def page(record: dict[str, Any]) -> str:
         wrong=sum(map(is_wrong, arms)),
         farthest=f"{farthest:.1e}",
         named=named,
+        on_chain=sum(_followers_on_chain(each) > 0 for each in compared) or "none",
         hardware=record["hardware"],
         readers=", ".join(f"`{each}`" for each in record["readers"]),
         rows="\n".join(rows),
         refusals="\n".join(refusals),
     )
+
+
+def _followers_on_chain(found: dict[str, Any]) -> int:
+    return len(set(found["followers"]) & set(found["joints"]))
 
 
 def _kind(found: dict[str, Any]) -> str:
@@ -300,8 +305,8 @@ def _cells(found: dict[str, Any]) -> str:
     if "error" in found:
         return f"{len(found['coordinates'])} | not compared | | | {measured}"
     limits = "as named" if found["limits"] else "same"
-    own = [name for name in found["followers"] if name in found["joints"]]
-    followers = f", {len(own)} on the chain" if own else ""
+    count = _followers_on_chain(found)
+    followers = f", {count} on the chain" if count else ""
     joints = f"{len(found['coordinates'])}"
     return f"{joints} | {found['position_m']:.0e} | {limits} | {len(found['followers'])}{followers} | {measured}"
 
@@ -322,10 +327,18 @@ URDF files without collision geometry were imported with `--visual`.
 - **joints**: number of joints that move on their own between base and TCP.
 - **distance**: largest distance of the TCPs [m].
 - **limits**: `same`, or `as named` in a message.
-- **followers**: joints of the file that follow others, such as fingers.
+- **followers**: joints of the file that follow others, such as fingers. Files with a follower on the chain to the
+  TCP: {on_chain}.
 - **clear**: share of 100 random configurations within the limits without self-collision, with one capsule for each
-  body (`--most 1`); `-`: not measured. Random configurations of arms with wide ranges often collide.
+  body (`--most 1`). Random configurations of arms with wide ranges often collide.
 - **import**: processor time of `htcp robot --most 1` [s], on {hardware}.
+
+`-` in **clear** and **import**: not measured, as the file was tried with `--quick`, which compares only poses and
+limits.
+
+One capsule for each body lets two links overlap in all or most configurations of three arms: `link_4` and `link_6` of
+the ABB IRB 140, `r_shoulder_pan_link` and `r_upper_arm_link` of the PR2, and every second section of the Stretch RE1's
+telescope (`link_arm_l4` and `link_arm_l2`, `link_arm_l3` and `link_arm_l1`).
 
 | maker | arm | package | file | joints | distance | limits | followers | clear | import |
 |---|---|---|---|---|---|---|---|---|---|

@@ -365,9 +365,12 @@ def test_a_loop_above_a_frozen_lift_needs_only_the_links_that_the_loop_moves_omi
     assert arm.frozen == ("z", "push") and arm.omitted == ("rod",)
 
 
-def test_another_link_that_is_omitted_is_not_listed(imported):
-    facts, file = imported(mjcf(OMITTED["a follower"]), "--omit", "l1")
-    assert "omitted" not in facts and load_robot(file).omitted == ()
+def test_a_link_of_the_chain_is_listed_if_no_capsule_is_left_on_it(imported):
+    hand = '<body name="plate"><geom name="plate" size="0.01"/></body><site name="tcp"'
+    text = mjcf(OMITTED["a follower"]).replace('<site name="tcp"', hand)
+    facts, file = imported(text, "--omit", "l2", "--omit", "plate")
+    assert facts["omitted"] == ["l2"] and load_robot(file).omitted == ("l2",)
+    assert imported(text, "--omit", "l4", "--omit", "plate")[0]["omitted"] == ["l4", "plate"]
 
 
 def test_a_mimic_of_a_fixed_joint_holds_the_joint_at_its_offset(imported):
@@ -451,6 +454,18 @@ def test_the_vendors_meshes_move_with_the_followers(imported):
         for name in ("crank", "rod", "tcp"):
             found = read.position[k, written.body(name).id]
             np.testing.assert_allclose(found, data.body(name).xpos, rtol=0, atol=1e-9)
+
+
+def test_warnings_on_an_arms_file_are_not_repeated_for_its_meshes(imported, tmp_path, monkeypatch):
+    _, file = imported(WRIST)
+    motor = '<actuator><motor joint="a1" forcerange="-9 9"/></actuator></mujoco>'
+    file.write_text(file.read_text().replace("</mujoco>", motor))
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(UserWarning, match=r"arm\.xml: not used: 'forcerange' in <actuator>"):
+        arm = load_robot("arm.xml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm.meshes.deepest_m(*arm.capsule_names[:2], np.zeros(arm.dof))
 
 
 def test_an_imported_arm_is_imported_again_with_its_followers(imported):

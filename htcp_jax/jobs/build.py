@@ -124,6 +124,12 @@ def _bare_robot(arm: RobotConfig, tree: model_source.ComposedModel | None) -> Ro
         tool=arm.tool,
         locked=dict(arm.locked),
     )
+    if robot.omitted:
+        warnings.warn(
+            f"{model_source.label_of(source)}: not checked: {', '.join(robot.omitted)}: omitted from the model",
+            Note,
+            stacklevel=3,
+        )
     if arm.bodies == "capsules":
         return replace(robot, pieces=None)
     if arm.bodies == "meshes" and robot.pieces is None:

@@ -172,6 +172,8 @@ class Robot:
         facts["capsules"] = ", ".join(f"{name} ({1e3 * radius:.0f} mm)" for name, radius in radii)
         if self.ignored_geoms:
             facts["ignored geoms"] = ", ".join(self.ignored_geoms)
+        if self.omitted:
+            facts["omitted links"] = ", ".join(self.omitted)
         return html_facts(f"{self.name}: {len(self.joint_names)} joints", facts)
 
 

@@ -3,6 +3,7 @@
 J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and Proximity Queries. ICRA 2012.
 """
 
+import warnings
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -257,7 +258,9 @@ class MeshesInFile(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _read_meshes(file: ModelSource, locked: tuple[tuple[str, float], ...]) -> LinkMeshes | None:
-    return LinkMeshes.read(file, dict(locked))
+    with warnings.catch_warnings():  # `load_robot` has shown the file's warnings
+        warnings.simplefilter("ignore")
+        return LinkMeshes.read(file, dict(locked))
 
 
 def cuts_text(cuts: Iterable[Cut]) -> str:

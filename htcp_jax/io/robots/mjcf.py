@@ -27,7 +27,7 @@ PART_HEAD = """
     The link that carries the part: workpieces are posed in its frame. The joints from it to the TCP are the robot's.
     """
 OMITTED_HEAD = """
-    Links whose shapes were excluded although they move as no link of this file does, or as one without capsules.
+    Links whose shapes were excluded although no capsule of this file moves as they do.
     """
 FOLLOWERS_HEAD = """
     Joints that follow others: q = ref + c0 + c1 (q2 - ref2).

@@ -113,7 +113,8 @@ class ImportedArm(NamedTuple):
     shapeless: tuple[str, ...]  # bodies with visual but no collision geometry
     disabled: tuple[tuple[str, str], ...]  # pairs of bodies that an SRDF excludes from self-collision checks
     unused: tuple[str, ...]  # elements and attributes that were not used, with their numbers, see `ledger`
-    omitted: tuple[str, ...]  # links that followers or loops move and whose shapes were omitted
+    # links with omitted shapes: moved by followers or loops, or on the chain to the TCP and without other capsules
+    omitted: tuple[str, ...]
 
     @property
     def name(self) -> str:
@@ -190,7 +191,8 @@ def import_robot(
     frozen = [j for j in range(model.njnt) if j not in (*values, *joints) and model.jnt_bodyid[j] in bodies]
     found = _shapes_of_bodies(own, shapes, model)
     moved = _moved_joints(model, path, chain, frozen, found)
-    hidden = [b for b in moved_bodies(model, moved, sorted(omitted)) if b in {_body_of(model, geom) for geom in chosen}]
+    hidden = {*moved_bodies(model, moved, sorted(omitted)), *_bare_links(model, chain, omitted, found)}
+    hidden &= {_body_of(model, geom) for geom in chosen}
     pairs = {j: each for j, each in followers(model, path).items() if j in joints}
     offset = fix_followers(model, path, frozen, values)
     covers = _covers(found, model, chain, fit, {model.geom(geom.at).name for geom in own}, progress)
@@ -212,7 +214,7 @@ def import_robot(
         shapeless=tuple(body_name(model, b) for b in _shapeless(geoms, chosen, model)),
         disabled=tuple(disabled),
         unused=(*(text_of(model, UNUSED) or "").splitlines(), *in_srdf.lines()),
-        omitted=tuple(body_name(model, b) for b in hidden),
+        omitted=tuple(body_name(model, b) for b in sorted(hidden)),
     )
 
 
@@ -293,6 +295,13 @@ def _moved_joints(
                 )
     links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
     return [*chain.side, *curved, *check_loops(model, path, links, frozen, shaped)]
+
+
+def _bare_links(model: mujoco.MjModel, chain: Chain, omitted: Collection[int], shaped: Collection[int]) -> list[int]:
+    """Return the omitted bodies on links of the chain to the TCP of which no body has shapes."""
+    links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
+    covered = {links[b] for b in shaped}
+    return [b for b in omitted if 0 <= links[b] < len(chain.to_tcp) and links[b] not in covered]
 
 
 def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
