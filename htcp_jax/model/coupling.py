@@ -30,6 +30,9 @@ class Coupling:
     factors: Float[Array, "J N"]  # C [1, m/rad or rad/m]
     offsets: Float[Array, "J"]  # d [rad or m]
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of q; `Robot.joint_names` are those of u
+    # limits of q' and q'' [rad or m, per s or s2], inf where the model sets none; those of `Robot` are for u
+    speed: tuple[float, ...] = dataclasses.field(metadata=LABEL)
+    acceleration: tuple[float, ...] = dataclasses.field(metadata=LABEL)
     parents: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # link that carries each joint, -1 for the root
     tcp_link: int = dataclasses.field(metadata=_STATIC)  # link that carries the TCP, the chain's last
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # True for coordinates of u that are sliding joints
