@@ -28,7 +28,7 @@ from htcp_jax.clearance.proof.row_proof import _FeatureSweep
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.jobs.batch import _like
-from htcp_jax.model import Coupling, Feature, JointLimits, Robot, coordinate_limits, kinematics
+from htcp_jax.model import Coupling, Feature, LimitArrays, Robot, coordinate_limits, kinematics
 from htcp_jax.model.coupling import joints_between, moved_by
 from htcp_jax.model.robot import ArmFrame
 from htcp_jax.planning.tracking.null_space import seen_rows
@@ -118,7 +118,7 @@ def within(robot: Robot, count: int, seed: int = 0) -> np.ndarray:
 
 
 def limits_of(lower, upper, factors=(1.0, -2.0, 0.5), offsets=(0.0, 0.25, 0.0)):
-    joints = JointLimits(
+    joints = LimitArrays(
         np.array(lower), np.array(upper), np.array([3.0, 2.0, 9.0]), np.array([np.inf, 8.0, 1.0]), np.array([5.0, 1, 2])
     )
     return coordinate_limits(np.array(factors)[:, None], np.array(offsets), joints, NAMES, ["a"], "arm.urdf: ")
