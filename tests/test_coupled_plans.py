@@ -1,6 +1,7 @@
 """Plans and programs of an arm with a wrist whose second bend follows the first, and a rod next to its upper arm."""
 
 import csv
+import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -16,11 +17,12 @@ from coupled import solved
 import htcp_jax
 from htcp_jax.api import Plan
 from htcp_jax.cli.main import main
+from htcp_jax.io.robots.joint_limits import JointLimits, StatedLimits
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.runs import open_plans, open_run
 from htcp_jax.spec.config import RobotConfig
 from htcp_jax.trajectory.joint_torques import model_of, torques
-from htcp_jax.trajectory.limits import rates_or
+from htcp_jax.trajectory.limits import own_rates
 
 PLACES = 1000  # per segment
 ARM = """
@@ -168,12 +170,20 @@ def test_a_home_with_a_value_for_a_follower_names_the_joints(made, tmp_path, cap
 def test_speed_limits_in_a_file_are_those_of_the_joints_that_move(made):
     robot = made.plan.robot
     np.testing.assert_allclose(robot.speed, [3, 3, 3, 1.6])  # j4b turns at half of j4's speed
-    nothing = np.full(6, np.nan)
     order = robot.all_joint_names
-    for name, expected in (("j4b", [3, 3, 3, 0.2]), ("j2", [3, 0.1, 3, 1.6]), ("rod", [3, 0.1, 3, 1.6])):
-        stated = nothing.copy()
-        stated[order.index(name)] = 0.1
-        np.testing.assert_allclose(rates_or(robot, stated, np.asarray(robot.speed)), expected)
+    nothing = (StatedLimits(),) * len(order)
+    own = dataclasses.replace(robot.coupling, speed=tuple(4.0 if name == "rod" else 3.0 for name in order))
+    faster = dataclasses.replace(robot, coupling=own)
+    for arm, name, speed, expected in (
+        (robot, "j4b", 0.1, [3, 3, 3, 0.2]),
+        (robot, "j2", 0.1, [3, 0.1, 3, 1.6]),
+        (robot, "rod", 0.1, [3, 0.1, 3, 1.6]),
+        (faster, "j2", 5.0, [3, 4, 3, 3]),  # the file's limit replaces that of j2, and the rod keeps its own
+    ):
+        k = order.index(name)
+        rows = (*nothing[:k], StatedLimits(velocity=speed), *nothing[k + 1 :])
+        stated = JointLimits("limits.yaml", order, rows, (), (), (), False)
+        np.testing.assert_allclose(own_rates(arm, stated)["velocity"], expected)
 
 
 def test_a_coordinate_bears_the_weight_of_all_that_it_moves(tmp_path):

@@ -7,6 +7,7 @@ import dataclasses
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ import pytest
 import toy
 
 from htcp_jax.clearance import Scene
+from htcp_jax.clearance.obstacles.fixtures import HalfSpace, fixtures
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.clearance.proof.interval import row_travel_bound
@@ -25,9 +27,11 @@ from htcp_jax.clearance.proof.motion_bound import body_sweep, motion_bound, tcp_
 from htcp_jax.clearance.proof.row_proof import _FeatureSweep
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
-from htcp_jax.model import Coupling, Feature, JointLimits, Robot, coordinate_limits, kinematics
+from htcp_jax.jobs.batch import _like
+from htcp_jax.model import Coupling, Feature, LimitArrays, Robot, coordinate_limits, kinematics
 from htcp_jax.model.coupling import joints_between, moved_by
 from htcp_jax.model.robot import ArmFrame
+from htcp_jax.planning.tracking.null_space import seen_rows
 from htcp_jax.reachability.configuration_search import _scaled_pose
 from htcp_jax.trajectory.displacement import arm_at, bend_bound, displacement_bound
 from htcp_jax.validation.following import Following
@@ -114,7 +118,7 @@ def within(robot: Robot, count: int, seed: int = 0) -> np.ndarray:
 
 
 def limits_of(lower, upper):
-    joints = JointLimits(
+    joints = LimitArrays(
         np.array(lower), np.array(upper), np.array([3.0, 2.0, 9.0]), np.array([np.inf, 8.0, 1.0]), np.array([5.0, 1, 2])
     )
     factors, offsets = np.array([[1.0], [-2.0], [0.5]]), np.array([0.0, 0.25, 0.0])
@@ -269,7 +273,7 @@ def with_rod(robot: Robot) -> Robot:
     links, n = len(robot.slides), robot.dof
     own = Coupling(
         jnp.concatenate([jnp.eye(n), jnp.eye(n)[1:2]]), jnp.zeros(n + 1), (*robot.joint_names, "rod"),
-        (*range(-1, links - 1), 0), links - 1, robot.slides,
+        *[(np.inf,) * (n + 1)] * 2, (*range(-1, links - 1), 0), links - 1, robot.slides,
     )  # fmt: skip
     return dataclasses.replace(
         robot, **more, slides=(*robot.slides, False), capsule_names=(*robot.capsule_names, "rod"),
@@ -293,7 +297,7 @@ def test_a_box_of_coordinates_confines_the_wrist_of_an_arm_whose_elbow_follows_i
     factors[2, 1] = -0.5
     own = dataclasses.replace(
         rod, factors=jnp.asarray(factors), offsets=jnp.zeros(6).at[2].set(0.2), joint_names=rod.joint_names[:6],
-        parents=rod.parents[:6], slides=rod.slides[:5],
+        speed=rod.speed[:6], acceleration=rod.acceleration[:6], parents=rod.parents[:6], slides=rod.slides[:5],
     )  # fmt: skip
     limits = {name: getattr(gp50(), name)[:5] for name in ("lower", "upper", "speed", "acceleration", "effort")}
     robot = dataclasses.replace(gp50(), **limits, joint_names=tuple(np.delete(gp50().joint_names, 2)), coupling=own)
@@ -322,3 +326,20 @@ def test_directions_on_a_rod_and_the_tools_pose_belong_to_their_own_branches():
     assert float(_FeatureSweep(robot, (seen,), jnp.zeros(4), rates, jnp.array(0.1)).turning) == 4.0
     x = jnp.asarray(toy.START)
     np.testing.assert_allclose(_scaled_pose(robot, x), _scaled_pose(toy.robot(), x), atol=1e-12)
+
+
+def test_a_sweep_names_the_side_branch_by_which_robots_differ():
+    message = "toy has 4 joints, 0 of them slides, with rod on j1; toy has 4 joints, 0 of them slides; all robots"
+    with pytest.raises(InputError, match=f"grid.yaml: {message}"):
+        _like(toy.robot(), with_rod(toy.robot()), "grid.yaml")
+
+
+def test_a_rod_counts_as_a_body_of_the_link_that_carries_it():
+    """It is on the inner half of the chain, and stands on what it touches if its drive is hinged on the pedestal."""
+    robot, rows = with_rod(toy.robot()), SimpleNamespace(body=(0, 1, 2))
+    assert seen_rows(SimpleNamespace(robot=robot, rows=rows), False) == (True, True, False)
+    pedestal = dataclasses.replace(robot.coupling, parents=(-1, 0, 1, 2, -1))
+    floor = [("floor", HalfSpace(jnp.array([0.0, 0.0, 1.0]), jnp.array(0.02)))]
+    for coupling, is_checked in ((robot.coupling, True), (pedestal, False)):
+        arm = dataclasses.replace(robot, coupling=coupling)
+        assert np.asarray(fixtures(arm, floor).is_checked).tolist() == [[True, True, is_checked]]

@@ -222,15 +222,23 @@ def _like(first: Robot, robot: Robot, where: str) -> Robot:
         where: Name of its scenario, for messages.
 
     Raises:
-        InputError: If the number or the types of the joints differ.
+        InputError: If the number or the types of the joints differ, or their followers and side branches.
     """
     own, firsts = ((each.slides, each.parents, each.tcp_link, each.sliding) for each in (robot, first))
     if own != firsts:
-        kinds = [f"{one.name} has {one.dof} joints, {sum(one.sliding)} of them slides" for one in (robot, first)]
         raise InputError(
-            f"{where}: {'; '.join(kinds)}; all robots of a sweep must have the same numbers of hinge and slide joints"
+            f"{where}: {_joints_of(robot)}; {_joints_of(first)}; all robots of a sweep must have the same numbers of "
+            "hinge and slide joints, the same followers and the same side branches"
         )
     return robot
+
+
+def _joints_of(robot: Robot) -> str:
+    """Return the numbers of an arm's joints as text, with its followers and side branches, and what carries them."""
+    names, side = robot.all_joint_names, range(robot.tcp_link + 1, len(robot.slides))
+    more = [f"{names[j]} on {(*names, 'the base')[robot.parents[j]]}" for j in sorted({*robot.followers, *side})]
+    joints = f"{robot.name} has {robot.dof} joints, {sum(robot.sliding)} of them slides"
+    return joints + ((more and f", with {', '.join(more)}") or "")
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 from . import arrays, duct, fixture, kinematics, robot, scenario, surface
 from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
-from .coupling import Coupling, JointLimits, coordinate_limits, joints_between, moved_by
+from .coupling import Coupling, LimitArrays, coordinate_limits, joints_between, moved_by
 from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
@@ -34,7 +34,7 @@ __all__ = [
     "FeatureMotion",
     "Fixture",
     "InletDirection",
-    "JointLimits",
+    "LimitArrays",
     "NearbyBody",
     "PathFrames",
     "PointCover",

@@ -30,6 +30,8 @@ class Coupling:
     factors: Float[Array, "J N"]  # C [1, m/rad or rad/m]
     offsets: Float[Array, "J"]  # d [rad or m]
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of q; `Robot.joint_names` are those of u
+    speed: tuple[float, ...] = dataclasses.field(metadata=LABEL)  # of q, inf where the model sets none [rad/s or m/s]
+    acceleration: tuple[float, ...] = dataclasses.field(metadata=LABEL)  # likewise [rad/s2 or m/s2]
     parents: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # link that carries each joint, -1 for the root
     tcp_link: int = dataclasses.field(metadata=_STATIC)  # link that carries the TCP, the chain's last
     slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # True for coordinates of u that are sliding joints
@@ -43,7 +45,7 @@ class Coupling:
         return rates @ np.asarray(self.factors).T
 
 
-class JointLimits(NamedTuple):
+class LimitArrays(NamedTuple):
     """Limits of n joints or coordinates [rad or m, rad/s or m/s, rad/s2 or m/s2, N m or N]; inf where there is none."""
 
     lower: Float[np.ndarray, "n"]
@@ -56,11 +58,11 @@ class JointLimits(NamedTuple):
 def coordinate_limits(
     factors: Float[np.ndarray, "J N"],
     offsets: Float[np.ndarray, "J"],
-    limits: JointLimits,
+    limits: LimitArrays,
     names: Sequence[str],
     coordinates: Sequence[str],
     where: str = "",
-) -> JointLimits:
+) -> LimitArrays:
     """Return the limits of the coordinates u within which every joint of q = C u + d keeps its own.
 
     The torque at a coordinate is C^T times the joints' torques, by the principle of virtual work (Siciliano et al.,
@@ -92,7 +94,7 @@ def coordinate_limits(
         own = names.index(coordinate)
         rates = (limits.speed[rows] / size).min(), (limits.acceleration[rows] / size).min()
         found.append((low, high, *rates, limits.effort[own]))
-    return JointLimits(*np.array(found).T)
+    return LimitArrays(*np.array(found).T)
 
 
 def moved_by(parents: Sequence[int]) -> Bool[np.ndarray, "L J"]:

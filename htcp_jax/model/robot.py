@@ -140,6 +140,11 @@ class Robot:
         return len(self.slides) - 1 if self.coupling is None else self.coupling.tcp_link
 
     @property
+    def root_links(self) -> tuple[int, ...]:
+        """The links that joints connect to the chain's root: the first one, and those of side branches there."""
+        return tuple(link for link, parent in enumerate(self.parents) if parent < 0)
+
+    @property
     def all_joint_names(self) -> tuple[str, ...]:
         """Names of the J joints, of which `joint_names` are those of the coordinates."""
         return self.joint_names if self.coupling is None else self.coupling.joint_names

@@ -115,8 +115,8 @@ def cell_bounds(settings: Settings, scene: Scene, lane: LaneInputs, cube, half, 
     """
     robot = scene.robot
     lower = jnp.where(jnp.isfinite(robot.lower), robot.lower, -jnp.pi)
-    endless = ~kinematics.is_periodic(robot)
-    upper = jnp.where(jnp.array(endless), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
+    periodic = kinematics.is_periodic(robot)
+    upper = jnp.where(jnp.array(~periodic), robot.upper, jnp.minimum(robot.upper, lower + 2 * jnp.pi))
     if robot.coupling is None:
         cube = jnp.pad(cube, (0, exclusion.WRIST))
     else:

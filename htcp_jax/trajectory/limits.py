@@ -70,34 +70,30 @@ def joint_limits(
     return MotionLimits(velocity, acceleration, _given_or(given["jerk"], default))
 
 
-def own_rates(robot: Robot, stated: JointLimits | None) -> dict[str, Float[np.ndarray, "N"]]:
-    """Return the limits in a file, else the model's, by kind [rad or m, per s, s2 or s3]; infinite without one.
+def own_rates(robot: Robot, *stated: JointLimits | None) -> dict[str, Float[np.ndarray, "N"]]:
+    """Return the limits of the coordinates by kind [rad or m, per s, s2 or s3]; infinite without one.
+
+    Each joint has the limits in the last file that states them, else the model's. A coordinate's limit is the largest
+    at which all joints that it moves keep theirs.
 
     Args:
         robot: The arm.
-        stated: Limits in a file; None: no file.
+        *stated: Limits of the joints in files; None: no file.
     """
-    model = {"velocity": np.asarray(robot.speed, float), "acceleration": np.asarray(robot.acceleration, float)}
-    model["jerk"] = np.full(len(robot.joint_names), np.inf)
-    if stated is None:
-        return model
-    return {kind: rates_or(robot, stated.rates(kind), model[kind]) for kind in RATES}
+    own = robot if robot.coupling is None else robot.coupling
+    found = {"velocity": own.speed, "acceleration": own.acceleration, "jerk": np.full(len(robot.slides), np.inf)}
+    for kind in RATES:
+        for given in (file.rates(kind) for file in stated if file is not None):
+            found[kind] = np.where(np.isnan(given), found[kind], given)
+    return {kind: _of_coordinates(robot, np.asarray(found[kind], float)) for kind in RATES}
 
 
-def rates_or(robot: Robot, stated: Float[np.ndarray, "J"], otherwise: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-    """Return limits of the coordinates from those stated for the joints [rad or m, per s, s2 or s3].
-
-    Args:
-        robot: The arm.
-        stated: Limits of the joints; NaN for joints without one.
-        otherwise: Limits of the coordinates that also apply where one of their joints has no stated limit.
-    """
+def _of_coordinates(robot: Robot, limits: Float[np.ndarray, "J"]) -> Float[np.ndarray, "N"]:
+    """Return the limits of the coordinates' rates, from those of the joints' rates."""
     if robot.coupling is None:
-        return np.where(np.isnan(stated), otherwise, stated)
+        return limits
     size = np.abs(np.asarray(robot.coupling.factors))
-    limits = np.where(size > 0, stated[:, None] / np.where(size > 0, size, 1.0), np.inf)
-    found = np.fmin.reduce(limits, axis=0, initial=np.inf)
-    return np.where(np.isnan(limits).any(axis=0), np.minimum(found, otherwise), found)
+    return np.where(size > 0, limits[:, None] / np.where(size > 0, size, 1.0), np.inf).min(axis=0)
 
 
 def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:

@@ -10,7 +10,7 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.motion import Motion, motion
 from htcp_jax.spec import PlanConfig
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.limits import own_rates, rates_or
+from htcp_jax.trajectory.limits import own_rates
 
 
 def limits_of_job(job: PlanConfig, robot: Robot) -> JointLimits | None:
@@ -43,12 +43,11 @@ def limits_overrides(stated: JointLimits, robot: Robot, of_job: JointLimits | No
     Raises:
         InputError: If the file limits some joints, but another joint has no such limit.
     """
-    own, found = own_rates(robot, of_job), []
+    own, found = own_rates(robot, of_job, stated), []
     for kind in RATES:
-        given = stated.rates(kind)
-        if np.isnan(given).all():
+        if np.isnan(stated.rates(kind)).all():
             continue
-        values = rates_or(robot, given, own[kind])
+        values = own[kind]
         for name in (name for name, value in zip(robot.joint_names, values, strict=True) if not np.isfinite(value)):
             raise InputError(f"{stated.file}: max_{kind} of joint {name} is missing here and in the model")
         found.append(f"program.{kind}=[{', '.join(map(repr, values.tolist()))}]")

@@ -1,7 +1,8 @@
 """Solids of the work cell as an obstacle, fixed in the world.
 
-Some pairs are not checked: bodies that are fixed in the world, such as the arm's base; a body of the first link with a
-solid that it touches at x = 0, such as the arm's pedestal; and bodies of links that the solid's fixture excludes.
+Some pairs are not checked: bodies that are fixed in the world, such as the arm's base; a body of the first link, or of
+a side branch's link on the root, with a solid that it touches at x = 0, such as the arm's pedestal; and bodies of links
+that the solid's fixture excludes.
 
 All half-spaces, capsules, boxes and cylinders are measured. A convex piece is measured only if its bounding ball is
 nearer than the smallest distance so far; the pieces with the nearest balls come first.
@@ -152,10 +153,10 @@ def _padded_count(count: int) -> int:
 
 
 def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
-    """Return True for solids that a body of the first link touches at x = 0."""
+    """Return True for solids that a body of a link on the root touches at x = 0."""
     T, radius = np.asarray(robot.T_parent_joint)[0], np.asarray(robot.capsule_radius)[body]
     if robot.coupling is not None:  # a joint that follows need not be at 0
-        T = np.asarray(kinematics.link_poses(robot, jnp.zeros(robot.dof)))[0]
+        T = np.asarray(kinematics.link_poses(robot, jnp.zeros(robot.dof)))[robot.capsule_link[body]]
     p, q = (T[:3, :3] @ np.asarray(end)[body] + T[:3, 3] for end in (robot.capsule_p, robot.capsule_q))
     alone = (jax.tree.map(lambda leaf: leaf[0], _host_stacked([row.solid])) for row in rows)
     return np.array([np.asarray(_distance(solid, p, q)) <= radius for solid in alone])
@@ -165,10 +166,10 @@ _distance = jax.jit(lambda solid, p, q: solid.contact(p, q).distance)  # compile
 
 
 def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Return True for bodies that may stand on a solid: bodies of the first link; no body if the arm moves the part."""
+    """Return True for bodies that may stand on a solid: of links on the root, or none if the arm moves the part."""
     if robot.part_moves:
         return np.zeros(len(robot.capsule_link), bool)
-    return (np.array(robot.capsule_link) == 0) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
+    return np.isin(robot.capsule_link, robot.root_links) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
 
 
 def _as_pieces(robot: Robot, rows: list[_Row]) -> ConvexPiece | None:

@@ -7,8 +7,8 @@ distance is therefore at least (d_i + d_i+1 - h) / 2 (Piyavskii, An algorithm fo
 function, 1972). The smallest of these bounds is the free radius. The distance itself is refined about the smallest
 measured value.
 
-Bodies that are fixed in the world are not checked, nor are bodies of the first link that touch the obstacle at x = 0,
-such as the arm's pedestal. See docs/add-an-obstacle.md.
+Bodies that are fixed in the world are not checked, nor are bodies of links on the root, such as the first link,
+that touch the obstacle at x = 0, for example the arm's pedestal. See docs/add-an-obstacle.md.
 """
 
 from collections.abc import Sequence
@@ -72,7 +72,7 @@ class GivenObstacle(Obstacle):
     def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """Return True for bodies that are checked against the obstacle."""
         links = np.array(robot.capsule_link)
-        first = np.setdiff1d(np.flatnonzero(links == 0), robot.attached)
+        first = np.setdiff1d(np.flatnonzero(np.isin(links, robot.root_links)), robot.attached)
         is_checked = jnp.asarray(links >= 0)
         if not len(first):
             return is_checked

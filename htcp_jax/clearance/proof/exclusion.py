@@ -56,7 +56,7 @@ def chain_of(robot: Robot) -> Robot:
     kept = np.flatnonzero(np.array(robot.capsule_link, int) < count)
     bodies = {name: getattr(robot, name)[kept] for name in ("capsule_p", "capsule_q", "capsule_radius", "on_tool")}
     own = {"factors": coupling.factors[:count], "offsets": coupling.offsets[:count]}
-    own |= {name: getattr(coupling, name)[:count] for name in ("joint_names", "parents")}
+    own |= {name: getattr(coupling, name)[:count] for name in ("joint_names", "speed", "acceleration", "parents")}
     return dataclasses.replace(
         robot,
         **bodies,

@@ -23,7 +23,7 @@ from htcp_jax.io.robots.followers import Follower, followers
 from htcp_jax.io.robots.frames import body_frame, shifted_frame, turned_frame
 from htcp_jax.io.robots.mujoco_models import HINGE, SLIDE, joint_name, joints_of, text_of, upwards
 from htcp_jax.io.robots.safe_xml import PART
-from htcp_jax.model import JointLimits, coordinate_limits
+from htcp_jax.model import LimitArrays, coordinate_limits
 
 FEWEST_JOINTS = 3
 MOST_JOINTS = 9  # maximum number of joints if the part moves
@@ -95,7 +95,7 @@ class JointMap(NamedTuple):
         speed: Float[np.ndarray, "J"] | None = None,
         acceleration: Float[np.ndarray, "J"] | None = None,
         effort: Float[np.ndarray, "J"] | None = None,
-    ) -> JointLimits:
+    ) -> LimitArrays:
         """Return the limits of the coordinates, within which all joints keep their own.
 
         Args:
@@ -111,7 +111,7 @@ class JointMap(NamedTuple):
         """
         unlimited = np.full(len(self.joints), np.inf)
         rates = (unlimited if each is None else each for each in (speed, acceleration, effort))
-        own = JointLimits(ranges[:, 0], ranges[:, 1], *rates)
+        own = LimitArrays(ranges[:, 0], ranges[:, 1], *rates)
         if not self.is_coupled:
             return own
         free = [joint_name(model, j) for j in self.free]

@@ -180,6 +180,7 @@ def read_robot_file(
         "factors": mapped.factors,
         "offsets": mapped.offsets,
         "joint_names": mapped.names(model),
+        **{name: tuple(each.tolist()) for name, each in rates.items()},
         "parents": parents,
         "tcp_link": len(chain.to_tcp) - 1,
         "slides": free,

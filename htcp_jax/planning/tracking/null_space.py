@@ -43,10 +43,14 @@ class StuckScenario(NamedTuple):
 def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
     """Return True for the rows that J2 includes: all rows, or only those of bodies on the outer half of the chain.
 
-    On the GP50 the outer half has capsules 4 to 8.
+    On the GP50 the outer half has capsules 4 to 8. Bodies on a side branch belong to the chain's link that carries it.
     """
-    half = len(scene.robot.slides) // 2
-    return tuple(include_proximal_bodies or scene.robot.capsule_link[body] >= half for body in scene.rows.body)
+    robot, half = scene.robot, (scene.robot.tcp_link + 1) // 2
+
+    def on_chain(link: int) -> int:
+        return link if link <= robot.tcp_link else on_chain(robot.parents[link])
+
+    return tuple(include_proximal_bodies or on_chain(robot.capsule_link[body]) >= half for body in scene.rows.body)
 
 
 def sphere_problem(
