@@ -249,6 +249,11 @@ REFUSED = {
     "a link twice": (arm(more='<link name="lower"/>'), "repeated names: link 'lower'"),
     "an axis of zero": (arm().replace('"0 1 0"', '"0 0 0"', 1), "joint 'shoulder': <axis xyz='0 0 0'> has no"),
     "an unknown master": (arm(f'{RANGE}<mimic joint="x"/>'), "joint 'elbow' mimics the unknown joint 'x'; freeze it"),
+    "a misspelt factor": (
+        arm(f'{RANGE}<mimic joint="shoulder" multiplyer="-1"/>'),
+        "joint 'elbow': <mimic> has an unknown attribute 'multiplyer'; valid: joint, multiplier, offset",
+    ),
+    "no master": (arm(f'{RANGE}<mimic multiplier="-1"/>'), "joint 'elbow': <mimic> has no attribute 'joint'"),
     "its own master": (arm(f'{RANGE}<mimic joint="elbow"/>'), "joint 'elbow' mimics itself"),
     "two ranges": (arm(RANGE + RANGE), "joint 'elbow': <joint> has 2 <limit>; it must have one"),
     "a joint without a name": (arm().replace('"wrist"', '""'), "joint '': <joint> has no attribute 'name'"),

@@ -134,7 +134,8 @@ def joint_numbers(model: mujoco.MjModel, path: Path, name: str, default: float =
         return np.full(model.njnt, default)
     values = model.numeric(name).data
     if len(values) != model.njnt:
-        raise InputError(f"{path}: numeric {name!r} has {len(values)} values for {model.njnt} joints")
+        followers = ", counting those that follow others" if model.neq else ""
+        raise InputError(f"{path}: numeric {name!r} has {len(values)} values for {model.njnt} joints" + followers)
     return values.copy()
 
 

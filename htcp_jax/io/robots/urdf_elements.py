@@ -56,7 +56,7 @@ _CONTENT = {
     "parent": _rule("", "link!"),
     "child": _rule("", "link!"),
     "limit": _rule("", "lower:1 upper:1 effort:1 velocity:1 acceleration:1"),
-    "mimic": _rule("", "joint multiplier:1 offset:1"),
+    "mimic": _rule("", "joint! multiplier:1 offset:1"),
     "safety_controller": _rule("", "soft_lower_limit:1 soft_upper_limit:1 k_position k_velocity"),
     "mass": _rule("", "value:1!"),
     "inertia": _rule("", _INERTIA),
@@ -114,6 +114,8 @@ def _check(element: Element, owner: str, path: Path, ledger: Ledger, skipped: st
             _check_numbers(value, rule.numbers[name], f"{where[:-1]} {name}={short(value)!r}>", tag in _INFINITE)
         elif ":" in name or name == "xmlns":
             ledger.count(name.partition(":")[0] + ":...")
+        elif tag == "mimic":  # a misspelt one would change how the arm moves
+            raise InputError(f"{where} has an unknown attribute {short(name)!r}; valid: {', '.join(rule.numbers)}")
         else:
             ledger.name(f"{short(name)!r}{inside}", owner)
     texts = " ".join(filter(None, map(str.strip, [element.text or "", *(child.tail or "" for child in element)])))
