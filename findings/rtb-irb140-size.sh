@@ -9,6 +9,7 @@ set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
+export MPLCONFIGDIR="$folder"
 "${PYTHON:-python3}" -m venv venv
 venv/bin/pip install --quiet --disable-pip-version-check roboticstoolbox-python==1.5.0 rtb-data==2.0.0 numpy==2.4.6 scipy==1.17.1
 venv/bin/python - > seen.txt 2> log.txt <<'PY' || { cat log.txt; exit 1; }

@@ -8,6 +8,7 @@ set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 cd "$folder"
+export MPLCONFIGDIR="$folder"
 "${PYTHON:-python3}" -m venv venv
 venv/bin/pip install --quiet --disable-pip-version-check mujoco==4.0.0 pin==4.1.0 roboticstoolbox-python==1.5.0 numpy==2.4.6 scipy==1.17.1
 cat > arm.urdf <<'XML'
