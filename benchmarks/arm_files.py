@@ -333,9 +333,6 @@ URDF files without collision geometry were imported with `--visual`.
   body (`--most 1`). Random configurations of arms with wide ranges often collide.
 - **import**: processor time of `htcp robot --most 1` [s], on {hardware}.
 
-`-` in **clear** and **import**: not measured, as the file was tried with `--quick`, which compares only poses and
-limits.
-
 One capsule for each body lets two links overlap in all or most configurations of three arms: `link_4` and `link_6` of
 the ABB IRB 140, `r_shoulder_pan_link` and `r_upper_arm_link` of the PR2, and every second section of the Stretch RE1's
 telescope (`link_arm_l4` and `link_arm_l2`, `link_arm_l3` and `link_arm_l1`).
