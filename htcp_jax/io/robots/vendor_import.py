@@ -190,8 +190,9 @@ def import_robot(
         warn_of_jaw(model, path, tip, chain.to_tcp)
     frozen = [j for j in range(model.njnt) if j not in (*values, *joints) and model.jnt_bodyid[j] in bodies]
     found = _shapes_of_bodies(own, shapes, model)
-    moved = _moved_joints(model, path, chain, frozen, found)
-    hidden = {*moved_bodies(model, moved, sorted(omitted)), *_bare_links(model, chain, omitted, found)}
+    links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
+    moved = _moved_joints(model, path, chain, links, frozen, found)
+    hidden = {*moved_bodies(model, moved, sorted(omitted)), *_bare_links(chain, links, omitted, found)}
     hidden &= {_body_of(model, geom) for geom in chosen}
     pairs = {j: each for j, each in followers(model, path).items() if j in joints}
     offset = fix_followers(model, path, frozen, values)
@@ -268,7 +269,12 @@ def _moving_chain(model: mujoco.MjModel, path: Path, root: int, tip: Tip, fixed:
 
 
 def _moved_joints(
-    model: mujoco.MjModel, path: Path, chain: Chain, frozen: Sequence[int], shaped: Collection[int]
+    model: mujoco.MjModel,
+    path: Path,
+    chain: Chain,
+    links: Sequence[int],
+    frozen: Sequence[int],
+    shaped: Collection[int],
 ) -> list[int]:
     """Return the joints off the chain that couplings move: side branches, and frozen joints that move no shapes.
 
@@ -276,6 +282,7 @@ def _moved_joints(
         model: The compiled model.
         path: Its file, for messages.
         chain: The chain, with its side branches.
+        links: The link of each body; -1: the chain's root.
         frozen: The frozen joints.
         shaped: The bodies with shapes.
 
@@ -293,13 +300,11 @@ def _moved_joints(
                     f"{path}: joint {names[0]!r} follows {names[1]!r} by a polynomial; only factor and offset are "
                     f"supported; exclude the links that it moves with {omit_text(model, bodies)}"
                 )
-    links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
     return [*chain.side, *curved, *check_loops(model, path, links, frozen, shaped)]
 
 
-def _bare_links(model: mujoco.MjModel, chain: Chain, omitted: Collection[int], shaped: Collection[int]) -> list[int]:
+def _bare_links(chain: Chain, links: Sequence[int], omitted: Collection[int], shaped: Collection[int]) -> list[int]:
     """Return the omitted bodies on links of the chain to the TCP of which no body has shapes."""
-    links = [link for link, _ in link_frames(model, np.eye(4), chain).of_bodies]
     covered = {links[b] for b in shaped}
     return [b for b in omitted if 0 <= links[b] < len(chain.to_tcp) and links[b] not in covered]
 
