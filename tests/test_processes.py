@@ -18,7 +18,7 @@ import toy
 import htcp_jax
 from htcp_jax.caching import cache_folder
 from htcp_jax.device import processes
-from htcp_jax.device.processes import profitable_count, shares
+from htcp_jax.device.processes import portable, profitable_count, shares
 from htcp_jax.errors import InputError, Lost
 from htcp_jax.model.scenario import stack
 from htcp_jax.planning import Method
@@ -126,6 +126,19 @@ def test_a_method_of_this_process_plans_here():
     finally:
         METHODS._own.pop("here")
     assert Here.seen == (os.getpid(),)
+
+
+def test_workers_with_different_variables_plan_the_parts_in_turn():
+    """As on several GPUs: each worker sees its own one. The next call has the same workers."""
+    workers = [processes.ON_CPU | {"SEEN": name} for name in "ab"]
+
+    def call(notify, first, part):
+        notify(1, 1, 1)
+        return os.environ["SEEN"], first + part, os.getpid()
+
+    found = [processes.spread(workers, call, portable(40), [0, 1, 2], None).results for _ in range(2)]
+    assert [each[:2] for each in found[0]] == [("a", 40), ("b", 41), ("a", 42)] and found[0] == found[1]
+    assert len({pid for *_, pid in found[0]}) == 2
 
 
 def test_few_scenarios_need_no_worker_and_many_do():

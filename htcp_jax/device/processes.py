@@ -9,6 +9,7 @@ standard library's pools do neither, and Ray needs a server.
 """
 
 import contextlib
+import itertools
 import os
 import pickle
 import signal
@@ -32,7 +33,24 @@ POLL_S = 0.1  # interval at which progress is polled
 IDLE_S = 300  # idle time after which workers end
 START_PAYS = 10_000  # minimum number of targets for which starting workers saves time
 EACH_PAYS = 8  # minimum number of scenarios per worker
+START_PAYS_ON_GPU = 300_000  # as START_PAYS, for one worker per GPU: each loads its executables
 MOST_TOGETHER = 64  # maximum number of scenarios per part, which limits the time of the last part
+
+
+# If psutil is installed, loky replaces a worker whose memory grows by 300 MB, as a leak; the large limit prevents this,
+# as workers keep executables.
+KEEP = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
+ON_CPU = {"JAX_PLATFORMS": "cpu"} | KEEP
+
+
+def on_gpu(device: jax.Device) -> dict[str, str]:
+    """Return the environment variables of a worker that sees one of this process's NVIDIA GPUs.
+
+    The worker reserves no memory, as this process has reserved most of it.
+    """
+    seen, number = os.environ.get("CUDA_VISIBLE_DEVICES"), device.local_hardware_id
+    name = seen.split(",")[number] if seen else str(number)
+    return {"CUDA_VISIBLE_DEVICES": name, "XLA_PYTHON_CLIENT_PREALLOCATE": "false"} | KEEP
 
 
 def profitable_count(cores: int, scenarios: int, targets: int) -> int:
@@ -48,13 +66,13 @@ def profitable_count(cores: int, scenarios: int, targets: int) -> int:
     return max(1, min(cores, scenarios // EACH_PAYS)) if targets >= START_PAYS else 1
 
 
-def shares(count: int, processes: int) -> list[Int[np.ndarray, "_"]]:
-    """Return the indices of the scenarios in each part of `count` scenarios; the next free process plans a part.
+def shares(count: int, processes: int, most: int = MOST_TOGETHER) -> list[Int[np.ndarray, "_"]]:
+    """Return the indices of the scenarios in each part of `count` scenarios, at most `most` in each.
 
     Neighbouring scenarios of a grid are similar, so scenarios are assigned to parts in turn: each part gets its share
     of hard ones.
     """
-    parts = min(count, max(processes, -(-count // MOST_TOGETHER)))
+    parts = min(count, max(processes, -(-count // most)))
     return [np.arange(first, count, parts) for first in range(parts)]
 
 
@@ -75,7 +93,7 @@ class Spread(NamedTuple):
 
 
 def spread(
-    processes: int,
+    environments: Sequence[dict[str, str]],
     call: Callable,
     shared: bytes,
     parts: Sequence,
@@ -87,7 +105,8 @@ def spread(
     The argument set_counts(a, b, c) is a function that sets the three counts of the part's progress.
 
     Args:
-        processes: Number of workers.
+        environments: Environment variables of each worker, such as `ON_CPU`. Parts are assigned in turn to the kinds of
+            workers with equal variables; the next free worker of that kind takes the part.
         call: The function to call.
         shared: Pickled objects for all parts, from `portable`. They are sent to each worker once, and kept for the next
             call.
@@ -105,16 +124,19 @@ def spread(
         file.write_bytes(shared)
         board = np.memmap(folder / BOARD, np.int64, "w+", shape=(len(parts), COUNTS))
         with _signals_blocked():
-            workers, began = _executor(processes), time.perf_counter()
-            started = [workers.submit(ready) for _ in range(processes)]
+            workers, began = _executors(environments), time.perf_counter()
+            started = [each.submit(ready) for each in workers for _ in range(len(environments) // len(workers))]
         try:
             _watched(started, lambda: None)
             start_s = time.perf_counter() - began
-            requested = [workers.submit(_work, file, k, call, part) for k, part in enumerate(parts)]
+            chosen = itertools.cycle(workers)
+            requested = [next(chosen).submit(_work, file, k, call, part) for k, part in enumerate(parts)]
             _watched(requested, lambda: report and report(np.array(board)))
             return Spread([each.result() for each in requested], start_s)
         except BaseException as error:
-            workers.shutdown(kill_workers=True)
+            for each in workers:
+                each.shutdown(kill_workers=True)
+            _alone.clear()
             if isinstance(error, BrokenProcessPool):
                 raise Lost("a worker process was killed; it may have run out of memory") from None
             raise
@@ -147,20 +169,27 @@ def _watched(requested: Sequence[Future], look: Callable[[], Any]) -> None:
         look()
 
 
-def _executor(processes: int) -> Any:
-    from loky import get_reusable_executor  # imported here, as a plan of one scenario does not need it
+def _executors(environments: Sequence[dict[str, str]]) -> list:
+    """Return one executor for all workers if their variables are equal, else one for each worker."""
+    from loky import ProcessPoolExecutor, get_reusable_executor  # here, as a plan of one scenario does not need them
 
     given = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
-    how = {"timeout": IDLE_S, "initializer": _begin_worker, "initargs": given, "env": ENVIRONMENT}
-    return get_reusable_executor(processes, **how)
+    how = {"timeout": IDLE_S, "initializer": _begin_worker, "initargs": given}
+    if all(each == environments[0] for each in environments):
+        return [get_reusable_executor(len(environments), env=environments[0], **how)]
+    names = [repr(sorted(each.items())) for each in environments]
+    for name, each in zip(names, environments, strict=True):
+        if name not in _alone:
+            _alone[name] = ProcessPoolExecutor(1, env=each, **how)
+    return [_alone[name] for name in names]
+
+
+_alone: dict[str, Any] = {}  # executors of one worker, by its variables
 
 
 # Code that runs in a worker
 
 BOARD, COUNTS = "board", 3  # file with the counts of all parts; number of counts of a part
-# Workers do not use the GPUs, which the calling process has. If psutil is installed, loky replaces a worker whose
-# memory grows by 300 MB, as a leak; the large limit prevents this, as workers keep executables.
-ENVIRONMENT = {"JAX_PLATFORMS": "cpu", "LOKY_MAX_MEMORY_LEAK_SIZE": "1e18"}
 _kept: dict[str, tuple] = {}  # digest -> shared objects of the last call; at most one entry
 
 

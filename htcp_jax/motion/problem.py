@@ -35,9 +35,9 @@ class Execution:
     Attributes:
         device: `cpu`, `gpu` or `gpu:2`; None: all GPUs if there are any, else the CPU.
         threads: Number of engines per process; None: one, or one per core if there is only one process.
-        processes: Number of processes that share the scenarios on a CPU; None: see `processes.profitable_count`. Work
-            that other processes cannot import, for example a method or an obstacle defined in a notebook, is planned
-            in this one.
+        processes: Number of processes that share the scenarios on a CPU; None: see `processes.profitable_count`. With
+            several NVIDIA GPUs, large problems get one process per GPU unless `processes` is 1. Work that other
+            processes cannot import, for example a method or an obstacle defined in a notebook, is planned in this one.
         targets_in_all: Number of targets of all problems that belong together, such as the shards of a sweep; None: of
             this problem. It determines whether several processes are used.
         warm_up: Names of methods that will plan such scenarios. Their executables are compiled before the plan, in
@@ -165,13 +165,20 @@ class Problem:
 
     @property
     def processes(self) -> int:
-        """Number of processes to share the scenarios; 1 unless this is a CPU."""
-        if self.devices[0].platform != "cpu":
-            return 1
-        if self.execution.processes is not None or self.execution.threads:
-            return self.execution.processes or 1
-        targets = self.execution.targets_in_all or int(self.scenarios.count.sum())
-        return worker_processes.profitable_count(self.threads, len(self.scenarios.number), targets)
+        """Number of processes to share the scenarios: on a CPU any number, on several NVIDIA GPUs one each, else 1."""
+        targets, first = self.execution.targets_in_all or int(self.scenarios.count.sum()), self.devices[0]
+        given = self.execution.processes or (1 if self.execution.threads else None)
+        if first.platform == "cpu":
+            return given or worker_processes.profitable_count(self.threads, len(self.scenarios.number), targets)
+        pays = targets >= worker_processes.START_PAYS_ON_GPU if given is None else given > 1
+        return len(self.devices) if pays and "cuda" in first.client.platform_version.lower() else 1
+
+    @property
+    def workers(self) -> list[dict[str, str]]:
+        """Environment variables of each worker process that shares the scenarios."""
+        if self.devices[0].platform == "cpu":
+            return [worker_processes.ON_CPU] * self.processes
+        return [worker_processes.on_gpu(device) for device in self.devices]
 
     def _new_checkers(self) -> tuple[CollisionChecker, ...]:
         with compute_devices.on(self.devices[0]):

@@ -136,7 +136,9 @@ def _waited_s(problem: Problem) -> float:
 
 def _shared_part(problem: Problem) -> bytes | None:
     """Return what all scenarios share, pickled for other processes; None if those cannot load it."""
-    execution = replace(problem.execution, device=None, threads=problem.execution.threads or 1, processes=1, warm_up=())
+    execution = replace(problem.execution, device=None, processes=1)
+    if problem.devices[0].platform == "cpu":  # its executables are warmed up here, on all cores
+        execution = replace(execution, threads=execution.threads or 1, warm_up=())
     how = {"execution": execution, "check_paths": problem.check_paths, "check_starts": problem.check_starts}
     given = problem.robot, problem.workpiece, problem.settings, problem.task, problem.other_obstacles
     return worker_processes.portable(given, how)
@@ -144,21 +146,22 @@ def _shared_part(problem: Problem) -> bytes | None:
 
 def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable | None) -> Plans:
     """Return plans from other processes; `compile_s` is the time to start these plus their mean compilation time."""
-    scenarios, warm_up_s = problem.scenarios, 0.0
-    if cache_folder.folder():  # the other processes load what this one stores
+    scenarios, on_cpu, warm_up_s = problem.scenarios, problem.devices[0].platform == "cpu", 0.0
+    if on_cpu and cache_folder.folder():  # the other processes load what this one stores
         warm_up_s = _warm_up(problem)
-    began = time.perf_counter()
-    rows = worker_processes.shares(len(scenarios.number), problem.processes)
+    began, count, workers = time.perf_counter(), len(scenarios.number), problem.workers
+    # a GPU is faster with one large part
+    rows = worker_processes.shares(count, len(workers), worker_processes.MOST_TOGETHER if on_cpu else count)
     parts = [tables.gather(scenarios, own) for own in rows]
 
     def report(reported: np.ndarray) -> None:
         done, tracked, starts = reported.sum(axis=0).tolist()
-        progress(Progress(done, len(scenarios.number), tracked, int(scenarios.count.sum()), starts or None))
+        progress(Progress(done, count, tracked, int(scenarios.count.sum()), starts or None))
 
     call, ready = partial(_plan_part, method.name), partial(methods.find, method.name)
-    found, start_s = worker_processes.spread(problem.processes, call, shared, parts, progress and report, ready)
+    found, start_s = worker_processes.spread(workers, call, shared, parts, progress and report, ready)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
-    compile_s = start_s + plans.compile_s / min(problem.processes, len(parts))
+    compile_s = start_s + plans.compile_s / min(len(workers), len(parts))
     return plans._replace(compile_s=compile_s + warm_up_s, run_s=time.perf_counter() - began - compile_s)
 
 

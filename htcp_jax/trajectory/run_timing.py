@@ -316,7 +316,7 @@ def _finder(timer: _Timer, methods: Sequence[str], workers: int | None) -> Calla
 
     def find(method: str, block: Sequence[int]) -> list[_TimedScenario | None]:
         parts = [(method, block[first : first + PART]) for first in range(0, len(block), PART)]
-        return list(chain(*processes.spread(workers, _time_part, shared, parts, None).results))
+        return list(chain(*processes.spread([processes.ON_CPU] * workers, _time_part, shared, parts, None).results))
 
     return find
 

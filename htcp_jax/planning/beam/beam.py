@@ -47,7 +47,7 @@ from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
-THREADS_PER_GPU = 4
+GPU_THREADS = 4  # on GPUs; more threads wait for each other, as Python runs one at a time
 IN_FLIGHT = 4  # the number of scenarios planned together is the number of lanes / IN_FLIGHT
 
 
@@ -76,8 +76,7 @@ class BeamSearchMethod(Method):
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
         plans, threads = problem.empty_plans(), problem.threads
         if not problem.checkers[0].executor.pays_by_lane:
-            # Several threads per GPU: while it computes for one, the others build their tables.
-            threads = max(threads, THREADS_PER_GPU * len(problem.checkers))
+            threads = max(threads, GPU_THREADS)  # while a GPU computes for one, the others build their tables
 
         def work(checker: CollisionChecker, share: slice) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
             return BeamSearch(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))
