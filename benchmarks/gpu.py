@@ -103,7 +103,7 @@ def rows(record: dict[str, Any]) -> list[str]:
     """Return README's rows; none for a trial."""
     if record.get("device", "cpu") == "cpu" or record["scenarios"]:
         return []
-    hardware = f"{record['device']}, {record['part']}, at {record['here']}"
+    hardware = f"{record['device']}, workpiece {record['part']}, commit {record['here']}"
     found = []
     for name, (*_, words) in SWEEPS.items():
         if medians := record["sweeps"].get(name, {}).get("here", {}).get("medians"):

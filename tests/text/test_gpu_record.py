@@ -45,7 +45,7 @@ def test_a_record_has_ratios_of_planning_targets_and_complete_commands(record):
 def test_rows_name_device_part_and_commit(record):
     assert gpu.rows(record) == [
         "| 6,125 scenarios of 105 targets by `beam`, without smoothing | 32.0 s for 510,745 targets; "
-        "50 s from the shell, full cache | 1 NVIDIA H200, generated duct, at abc1234 |"
+        "50 s from the shell, full cache | 1 NVIDIA H200, workpiece generated duct, commit abc1234 |"
     ]
 
 
