@@ -112,9 +112,12 @@ def verdicts(arm, obstacles, xs, above):
 def test_clear_by_a_margin_is_the_verdict_of_the_pieces_also_where_both_are_nearly_equal():
     obstacles, above = (cloud_of(points(300), 1e-3), SelfCollision(pairs())), (-1e-3, -1e-9, 0.0, 1e-9, 1e-3)
     xs, above = np.repeat(configurations(), len(above), axis=0), np.tile(above, len(configurations()))
-    D, truth, found, surely = verdicts(arm_with_pieces(), obstacles, xs, above)
+    D, truth, found, _ = verdicts(arm_with_pieces(), obstacles, xs, above)
     np.testing.assert_array_equal(found, truth)
     assert 10 < truth.sum() < len(truth) - 10 and (np.asarray(D) > 0).sum() > 20
+    pieces = arm_with_pieces().pieces
+    close = dataclasses.replace(arm_with_pieces(), pieces=pieces._replace(excess_m=0.1 * pieces.excess_m))
+    D, *_, surely = verdicts(close, obstacles, xs, above)
     assert surely.any() and (D[surely] < 0).all()
 
 
