@@ -255,13 +255,14 @@ def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeyp
 def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):
     monkeypatch.setattr(output, "LINE_S", 0.05)
     with _sweep_bars() as show:
-        for done, tracked in ((0, 0), (3, 120), (6, 240)):
-            show(SweepProgress("beam", done, 6, tracked, 240))
+        for done, tracked, is_planning in ((0, 0, True), (3, 120, True), (6, 240, True), (6, 240, False)):
+            show(SweepProgress("beam", done, 6, tracked, 240, is_planning=is_planning))
             time.sleep(0.3)
     lines = [line for line in capsys.readouterr().err.splitlines() if "scenarios" in line]
     assert lines[0].startswith("htcp: beam") and "loading and compiling; 0/6 scenarios" in lines[0]
     middle = next(line for line in lines if "3/6" in line)
     assert "compiling" not in middle and middle.endswith(" left") and lines[-1].endswith(" in all")
+    assert any("verifying and saving; 6/6 scenarios" in line for line in lines) and "saving" not in lines[-1]
 
 
 def served(process: subprocess.Popen) -> None:

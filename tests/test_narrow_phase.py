@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 import htcp_jax
 from htcp_jax.clearance import Scene, by_pieces, clearance, contacts, is_clear
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
+from htcp_jax.clearance.obstacles import surely_collides
 from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.fixtures import Fixtures, fixtures
 from htcp_jax.clearance.obstacles.narrow_phase import decide_together
@@ -97,12 +98,13 @@ def expected_m(capsules: float, pieces: list[float]) -> float:
 
 @jax.jit
 def verdicts(arm, obstacles, xs, above):
-    """Distances, and verdicts at margins `above` them by the distance and by the query alone."""
+    """Distances, verdicts at margins `above` them by the distance and by the query alone, and sure collisions."""
 
     def at(x, above):
         D = clearance(arm, obstacles, WHERE, x)
         margin = jnp.maximum(D + above, 0.0)
-        return D, D > margin, is_clear(arm, obstacles, WHERE, x, margin)
+        here = arm, obstacles, WHERE, x
+        return D, D > margin, is_clear(*here, margin), surely_collides(*here)
 
     return jax.lax.map(lambda row: at(*row), (xs, above))
 
@@ -110,9 +112,13 @@ def verdicts(arm, obstacles, xs, above):
 def test_clear_by_a_margin_is_the_verdict_of_the_pieces_also_where_both_are_nearly_equal():
     obstacles, above = (cloud_of(points(300), 1e-3), SelfCollision(pairs())), (-1e-3, -1e-9, 0.0, 1e-9, 1e-3)
     xs, above = np.repeat(configurations(), len(above), axis=0), np.tile(above, len(configurations()))
-    D, truth, found = verdicts(arm_with_pieces(), obstacles, xs, above)
+    D, truth, found, _ = verdicts(arm_with_pieces(), obstacles, xs, above)
     np.testing.assert_array_equal(found, truth)
     assert 10 < truth.sum() < len(truth) - 10 and (np.asarray(D) > 0).sum() > 20
+    pieces = arm_with_pieces().pieces
+    close = dataclasses.replace(arm_with_pieces(), pieces=pieces._replace(excess_m=0.1 * pieces.excess_m))
+    D, *_, surely = verdicts(close, obstacles, xs, above)
+    assert surely.any() and (D[surely] < 0).all()
 
 
 SETS = ("floor", "crate"), ("bar", "post")

@@ -11,6 +11,7 @@ import pytest
 from own_obstacles import Floor
 
 from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
+from htcp_jax.clearance.obstacles import surely_collides
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows, free_radius
@@ -114,6 +115,11 @@ def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():
     assert decided > 20
     np.testing.assert_allclose(every.clearance, every.clearances.min(axis=1), atol=1e-14)
     np.testing.assert_array_equal(every.is_clear, every.clearances.min(axis=1) > 0)
+
+
+def test_capsules_surely_collide_where_their_clearance_is_negative():
+    (found,) = answers((surely_collides,), configurations())
+    np.testing.assert_array_equal(found, answered().clearance < 0)
 
 
 def verdicts(robot, obstacles, where, x, above):

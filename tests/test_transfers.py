@@ -19,7 +19,8 @@ def test_scenarios_sampled_together_get_the_configurations_of_each_alone(monkeyp
     )
     scenario, round_, target = np.array([3, 0, 4, 0]), np.array([0, 0, 7, 1]), np.array([0, 2, 3, 2])
     at, lane = transfers.other_configurations(problem, checker, scenario, round_, target)
-    assert lanes == [len(scenario) * transfers.DRAWS] * 2
+    draws = len(scenario) * transfers.DRAWS
+    assert lanes[:2] == [draws] * 2 and len(lanes) == 3 and lanes[2] < draws
     assert set(lane.tolist()) == set(range(len(scenario))) and (np.diff(lane) >= 0).all()
     for k in range(len(scenario)):
         alone, _ = transfers.other_configurations(problem, checker, scenario[k : k + 1], int(round_[k]), int(target[k]))
@@ -31,3 +32,12 @@ def test_scenarios_sampled_together_get_the_configurations_of_each_alone(monkeyp
         )
         assert np.linalg.norm(tcp - one.targets[target[k]], axis=1).max() <= toy.SETTINGS.tolerance_m + 1e-12
     assert not np.array_equal(at.x[lane == 1], at.x[lane == 3])  # two rounds of one scenario
+
+
+def test_no_valid_configuration_is_discarded_before_it_is_measured():
+    problem = toy.problem(threads=1)
+    checker, scenario = problem.checkers[0], np.array([0, 3, 4])
+    drawn, lane = transfers.drawn_configurations(problem, checker, scenario, 0), np.repeat(scenario, transfers.DRAWS)
+    here, inputs = transfers.projected(problem, checker, lane, 0, np.concatenate(drawn)), problem.inputs(lane, 0)
+    valid, kept = checker.valid(inputs, here), checker.may_be_valid(inputs, here.x)
+    assert valid.any() and kept[valid].all() and kept.sum() < len(kept) / 2

@@ -157,6 +157,8 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
             decided = max(now.targets_tracked, now.targets * now.scenarios_done // now.scenarios)
             waits = decided == first.setdefault(now.method, decided) < now.targets
             stage = _stage(now.starts) if waits else ""
+            if now.is_planning and now.scenarios_done == now.scenarios:
+                stage = "verifying and saving; "
             fields = {"scenarios": f"{now.scenarios_done:,}/{now.scenarios:,}", "tracked": now.targets_tracked}
             fields["stage"] = stage
             if now.method not in tasks:

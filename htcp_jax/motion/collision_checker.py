@@ -21,6 +21,7 @@ from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.motion.step_functions import (
     ADVANCE,
     CLEAR,
+    MAY_BE_VALID,
     PROVE,
     SETTLE,
     TIP,
@@ -79,6 +80,10 @@ class CollisionChecker:
             tip = self.executor(TIP, *tables.gather((inputs, q), good))
             good[good] = ~self._guard.passes(tip[:, 0], tip[:, 1])
         return good
+
+    def may_be_valid(self, inputs: LaneInputs, q: Configurations) -> Rows:
+        """Return False for configurations that are certainly not `valid`; this costs less than their states."""
+        return self.executor(MAY_BE_VALID, inputs, q)
 
     def project(self, inputs: LaneInputs, q: Configurations) -> Configurations:
         """Return configurations moved onto their targets by inverse kinematics, if it converges; they may collide."""

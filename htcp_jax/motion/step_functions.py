@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, in_workpiece, is_clear
-from htcp_jax.clearance.obstacles import Linearisation, linearise
+from htcp_jax.clearance.obstacles import Linearisation, linearise, surely_collides
 from htcp_jax.clearance.proof import bisection, known_rows, motion_proof
 from htcp_jax.device import Loop, Remembering, by_chunks, lane_function
 from htcp_jax.model import TaskLinear, kinematics, reanchor
@@ -172,6 +172,13 @@ def is_configuration_clear(settings: Settings, scene: Scene, lane: LaneInputs, x
     return is_clear(scene.robot, scene.obstacles, lane, x)
 
 
+def may_be_valid(settings: Settings, scene: Scene, lane: LaneInputs, x):
+    """Return False if x is certainly not valid: off the lane's target, or in collision. `advance` is more expensive."""
+    residual = scene.task.residual(scene.task.value(scene.robot, x), lane.target)
+    may_reach = residual <= 2 * scene.task.fine_m  # twice the tolerance, as rounding differs
+    return may_reach & ~surely_collides(scene.robot, scene.obstacles, lane, x)
+
+
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Move x onto the lane's target by inverse kinematics, with a tenth of the usual tolerance."""
     return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
@@ -256,6 +263,7 @@ TRACK_CHUNK = lane_function.LaneFunction(
     "track", track, lane_function.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance")
 )
 CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP)
+MAY_BE_VALID = lane_function.LaneFunction("may_be_valid", may_be_valid, lane_function.STEP)
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)

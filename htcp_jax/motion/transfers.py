@@ -54,8 +54,13 @@ def other_configurations(
     for first in range(0, count, TOGETHER):
         own = np.arange(first, min(first + TOGETHER, count))
         drawn, lane = drawn_configurations(problem, checker, scenario[own], round_[own]), np.repeat(own, DRAWS)
-        here = projected(problem, checker, scenario[lane], target[lane], np.concatenate(drawn))
-        here, lane = tables.gather((here, lane), checker.valid(problem.inputs(scenario[lane], target[lane]), here))
+        x = _on_targets(problem, checker, scenario[lane], target[lane], np.concatenate(drawn))
+        hopeful = checker.may_be_valid(problem.inputs(scenario[lane], target[lane]), x)
+        hopeful = hopeful | (np.arange(len(x)) == 0)  # a call needs at least one lane
+        lane, x = tables.gather((lane, x), hopeful)
+        inputs = problem.inputs(scenario[lane], target[lane])
+        here = checker.states(inputs, x)._replace(x=x, linear=None)
+        here, lane = tables.gather((here, lane), checker.valid(inputs, here))
         apart = dispersed(here.x, lane, settings.beam_width, settings.beam_separation_rad)
         parts.append(tables.gather((here, lane), apart))
     return tables.concatenate(parts)
@@ -79,10 +84,14 @@ def projected(
         target: Index of the target, or one for each configuration.
         x: The configurations [rad or m].
     """
-    inputs = problem.inputs(scenario, target)
-    periodic = np.asarray(kinematics.is_periodic(problem.robot))
-    x = _unwound(checker.project(inputs, x), periodic, checker.executor.limits, _about(problem, scenario))
-    return checker.states(inputs, x)._replace(x=x, linear=None)
+    x = _on_targets(problem, checker, scenario, target, x)
+    return checker.states(problem.inputs(scenario, target), x)._replace(x=x, linear=None)
+
+
+def _on_targets(problem: Problem, checker: CollisionChecker, scenario, target, x) -> Float[np.ndarray, "n N"]:
+    """Return configurations after inverse kinematics, see `projected` [rad or m]."""
+    periodic, about = np.asarray(kinematics.is_periodic(problem.robot)), _about(problem, scenario)
+    return _unwound(checker.project(problem.inputs(scenario, target), x), periodic, checker.executor.limits, about)
 
 
 def drawn_configurations(

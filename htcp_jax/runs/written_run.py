@@ -32,6 +32,7 @@ class SweepProgress(NamedTuple):
     targets_tracked: int
     targets: int
     starts: int | None = None  # of the current shard, see `planning.batch.Progress`
+    is_planning: bool = False  # True while a shard is planned
 
 
 class WrittenRun:
@@ -100,7 +101,8 @@ class WrittenRun:
         """Return the progress of a method, from its planned shards and the progress of the current one."""
         done, tracked = (shard.scenarios_done, shard.targets_tracked) if shard else (0, 0)
         done, tracked, manifest = done + self._done[method], tracked + self._tracked[method], self.run.manifest
-        return SweepProgress(method, done, manifest.count, tracked, manifest.targets, shard and shard.starts)
+        starts = shard and shard.starts
+        return SweepProgress(method, done, manifest.count, tracked, manifest.targets, starts, shard is not None)
 
     def _count(self, method: str, scenarios: int, tracked: int) -> None:
         self._done[method] += scenarios

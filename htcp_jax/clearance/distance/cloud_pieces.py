@@ -79,15 +79,17 @@ def _lowest_points(shared, T, p, q, within, highest, start):
         plane = jnp.argmax(heights(best[1][:, None])[:, 0])
         return PointHeights(*best, product(T[k, :3, :3], planes[k, plane, :3])), lists
 
-    def search(k, state):
-        found, lists = state
-        nothing = PointHeights(highest, jnp.zeros(3), jnp.zeros(3))
-        own, lists = jax.lax.cond(within[k] < 0, lambda lists: (nothing, lists), partial(measured, k), lists)
-        return jax.tree.map(lambda every, new: every.at[k].set(new), found, own), lists
+    def search(state):
+        left, found, lists = state
+        k = jnp.argmax(left)
+        own, lists = measured(k, lists)
+        found = jax.tree.map(lambda every, new: every.at[k].set(new), found, own)
+        return left.at[k].set(False), found, lists
 
-    count = len(p)
-    found = PointHeights(jnp.zeros(count), jnp.zeros((count, 3)), jnp.zeros((count, 3)))
-    return jax.lax.fori_loop(0, count, search, (found, empty_lists(index)))[0]
+    nothing, count = jnp.zeros((len(p), 3)), len(p)
+    found = PointHeights(jnp.broadcast_to(highest, count), nothing, nothing)
+    begin = within >= 0, found, empty_lists(index)  # only these bodies are visited, as every visit copies the lists
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), search, begin)[1]
 
 
 def _heights(planes: Float[Array, "D 4"], T: Float[Array, "4 4"], points: Float[Array, "3 n"]) -> Float[Array, "D n"]:

@@ -2,6 +2,7 @@ from . import self_exclusions
 from .contact_model import ContactModel, hold_contacts, predict_distances
 from .given_obstacle import given_obstacles, with_given
 from .linearisation import Linearisation, TaskRows, linearise
+from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 from .of_workpiece import all_obstacles
 from .self_collision import RefusedPair, SelfCollision, make_self_collision, refused_pair
@@ -27,5 +28,6 @@ __all__ = [
     "predict_distances",
     "refused_pair",
     "self_exclusions",
+    "surely_collides",
     "with_given",
 ]

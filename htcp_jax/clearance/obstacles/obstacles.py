@@ -28,6 +28,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     slopes,
 )
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.model import robot as robots
 from htcp_jax.numerics import one_by_one, value_and_jacobian, with_gradient
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
@@ -135,6 +136,28 @@ def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose,
     is_refuted = (found <= margin - DECIDED_M) & (robot.pieces is None)
     exact = lambda: _smallest_of(robot, obstacles, where, bodies) > margin  # noqa: E731
     return jax.lax.cond((found < limit) & ~is_refuted, exact, lambda: found >= limit)
+
+
+@jax.jit
+def surely_collides(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Bool[jax.Array, ""]:
+    """Return True if a body certainly touches at x; False if it does not, or if only `clearance` can decide.
+
+    This is cheaper than `is_clear`, and much shorter code for an arm with pieces: it measures only capsules, with the
+    core radius, within which the bodies certainly lie around.
+    """
+    bodies = bodies_at(robot, where, kinematics.checked_configuration(robot, x))
+    core = replace(robot, capsule_radius=robots.core_radius(robot), pieces=None)
+    return _touches((obstacles, core, where), bodies)
+
+
+@one_by_one
+def _touches(shared, bodies: BodyAxes):
+    obstacles, robot, where = shared
+    found, limit = jnp.full((), jnp.inf), jnp.full((), -DECIDED_M)
+    for each in obstacles:
+        measure = lambda each=each: each.any_below(robot, where, bodies, limit)  # noqa: E731
+        found = jax.lax.cond(found < limit, lambda found=found: found, measure)
+    return found < limit
 
 
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
