@@ -94,6 +94,24 @@ def _coupled(value: Any) -> tuple[tuple, ...]:
     return _pairs(value, "axes to joints: {AXIS: JOINT, ...}")
 
 
+def _without_circle(pairs: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of `program.coupled`.
+
+    Raises:
+        InputError: If axes are coupled in a circle.
+    """
+    following = dict(pairs)
+    for axis in following:
+        circle = [axis]
+        while (joint := following.get(circle[-1])) is not None and joint not in circle:
+            circle.append(joint)
+        if joint == axis:
+            around = f"a circle: {' -> '.join([*circle, axis])}"
+            what = around if circle[1:] else f"{axis!r} is coupled with itself"
+            raise InputError(f"{what}; valid: for each coupled axis, the joint that moves it, without a circle")
+    return pairs
+
+
 def _locked(value: Any) -> tuple[tuple, ...]:
     """Return the pairs (joint, position) of `robot.locked`, sorted by joint."""
     return tuple(sorted(_pairs(value, "joints to positions; valid: {JOINT: VALUE, ...}")))
@@ -118,7 +136,9 @@ def _link(name: str) -> str:
 PathColumn = Annotated[int | str, PlainValidator(_column)]
 Link = Annotated[str, Field(min_length=1), AfterValidator(_link)]  # name of a link or site, world, or SECTION.LINK
 LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
-CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
+CoupledAxes = Annotated[
+    tuple[tuple[str, str], ...], BeforeValidator(_coupled), AfterValidator(_without_circle), PlainSerializer(dict)
+]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
