@@ -375,6 +375,8 @@ WRONG = [
         ["--format", "rapid", "--set", "program.coupled={joint3: joint2, joint2: joint4, joint4: joint3}"],
         "program.coupled: a circle: joint3 -> joint2 -> joint4 -> joint3; valid: for each coupled axis",
     ),
+    (["--format", "rapid", "--set", "program.coupled=[[joint3, joint2], [joint3, joint1]]"], "'joint3' is given twice"),
+    (["--format", "rapid", "--set", "program.tool_name=''"], "program.tool_name is ''"),
     (["--feed", "1e-6mm/s"], "more than 86,400 s: the feed is 1e-06 mm/s; choose a higher feed"),
     *(
         (["--set", f"program.{kind}={[1e-9] * 6}"], f" is 1e-09 {unit}; raise it, for example by program.{kind}")
@@ -390,7 +392,7 @@ WRONG = [
     ),
     (
         ["--set", "program.control_step_s=1e-9", "--format", "urscript"],
-        "configurations at a step of 1e-06 ms; at most 2,000,000 are possible",
+        "program.control_step_s is 1e-09: at least 0.0001 is needed",
     ),
     (["--format", "urscript", "--set", "program.coupled={joint3: joint2}"], "does not support program.coupled; remove"),
     (

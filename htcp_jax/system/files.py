@@ -187,8 +187,8 @@ def write_atomically(folder: Path, name: str, data: bytes) -> None:
     file = folder / name
     try:
         place = resolved_inside(file.parent, folder)
-        if file.exists() and not file.is_file() and not file.is_dir():
-            raise InputError(f"cannot write to {file}: not a regular file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"cannot write to {file}: {'it is a folder' if file.is_dir() else 'not a regular file'}")
         part = place / f"{PART}{secrets.token_hex(8)}"
         try:
             with open(os.open(part, NEW, 0o666), "wb") as stream:

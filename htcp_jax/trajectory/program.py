@@ -25,7 +25,7 @@ from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 LONGEST_S = 86_400.0  # maximum duration of a motion, one day: a longer one has a wrong limit or feed
-MOST_SAMPLES = 2_000_000  # maximum number of samples, limited by memory
+MOST_SAMPLES = 1_000_000  # maximum number of samples, limited by memory
 HELD, AT_REST = 0.99, 1e-6  # speeds / feed below which a feed drop begins, and below which the arm counts as at rest
 
 
