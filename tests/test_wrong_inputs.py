@@ -296,6 +296,8 @@ COMMANDS = [
     Wrong(["sweep", "grid.yaml", "--methods", "hybrid,hybrid"], "method hybrid is given twice", GRID),
     Wrong(["sweep", "grid.yaml", "--config", "no.yaml"], "cannot read no.yaml", GRID),
     Wrong(["sweep", "grid.yaml", "--config", LONG], "File name too long", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", "p"], "p contains a plan of htcp plan", GRID | {"p/summary.json": "{}"}),
+    Wrong(["plan", "--out", "r"], "r contains a run of htcp sweep (manifest.json)", {"r/manifest.json": "{}"}),
     Wrong(["sweep", "grid.yaml", "--out", LONG], "File name too long", GRID),
     Wrong(["sweep", "grid.yaml", "--out", f"new/{LONG}"], "File name too", GRID),
     Wrong(["sweep", "grid.yaml", "--out", "path.csv"], "write to path.csv", GRID),
