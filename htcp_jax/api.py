@@ -364,8 +364,9 @@ class Plan:
             retract: See `write`.
 
         Raises:
-            InputError: If the files cannot be written.
+            InputError: If the files cannot be written, or if the folder contains a run.
         """
+        plan_folder.refuse_run(Path(folder))
         with output_files.written_whole(Path(folder)) as scratch:
             self.write(scratch, retract=retract)
         forget_validation(Path(folder))

@@ -9,6 +9,7 @@ GPU kernels are written in Pallas, for its Triton backend. They replace XLA loop
 launches. If `Backend.interprets` is True, they run in an interpreter, on any machine.
 """
 
+import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import cache
@@ -16,6 +17,8 @@ from types import ModuleType
 from typing import NamedTuple
 
 import jax
+
+from htcp_jax.errors import InputError
 
 
 @cache
@@ -44,6 +47,24 @@ class Backend(NamedTuple):
     def is_cpu(self) -> bool:
         """True for a CPU, where loops are cheap and vectorising over lanes gains nothing."""
         return self.platform == "cpu"
+
+
+PLATFORMS = "JAX_PLATFORMS"  # environment variable: the platforms that JAX may use
+
+
+def check_platforms() -> None:
+    """Check that JAX finds a device on the platforms in the environment variable JAX_PLATFORMS, if it is set.
+
+    Raises:
+        InputError: If there is none.
+    """
+    if requested := os.environ.get(PLATFORMS):
+        try:
+            jax.devices()
+        except (AssertionError, RuntimeError):  # AssertionError: of some versions of JAX
+            raise InputError(
+                f"{PLATFORMS}={requested}: JAX finds no such device on this machine; valid: cpu, or unset the variable"
+            ) from None
 
 
 _BOUND = jax.make_user_context(None)

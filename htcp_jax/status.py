@@ -74,7 +74,10 @@ _MESSAGES = {
     Status.START_IN_COLLISION: "the start is in collision, so nothing was tried",
     Status.HOME_IN_COLLISION: "the home configuration is in collision, so nothing was tried",
     Status.HOME_NOT_JOINED: "no joint path from home to a start was proven collision-free, so nothing was tried",
-    Status.NO_START: "no collision-free configuration was found at the first point of the path, so nothing was tried",
+    Status.NO_START: (
+        "no collision-free configuration within the joint limits was found at the first point of the path, so nothing "
+        "was tried"
+    ),
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task has no null space in which to recover",
     Status.TIP_BLOCKED: "the arm is clear, but the bare end of the tool passes through the wall",

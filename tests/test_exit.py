@@ -303,3 +303,11 @@ def test_commands_that_read_a_run_never_abort(all_here, command):
         process = start(all_here, WORDS[command])
         _, errors = process.communicate()
         assert process.returncode == 0 and sweep_process.without_progress(errors) == []
+
+
+def test_ctrl_c_before_the_handlers_are_installed_is_one_line_and_exit_130(here):
+    code = "import os, signal, htcp_jax.__main__ as entry, htcp_jax.system as system\n"
+    code += "system.run = lambda command: os.kill(os.getpid(), signal.SIGINT)\nentry.main()"
+    environs = sweep_process.environment()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environs, timeout=LIMIT_S)
+    assert (done.returncode, done.stderr) == (130, "htcp: interrupted\n")

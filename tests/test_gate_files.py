@@ -211,7 +211,7 @@ def test_an_annotation_is_one_line_that_holds_any_text(verdict, text):
     [
         (["--junit", "folder"], "cannot write to folder: Is a directory"),
         (["--junit", "gate.xml", "--markdown", "/dev/null"], "cannot write to /dev/null: not a regular file"),
-        (["--markdown", ""], "cannot write to .: Is a directory"),
+        (["--markdown", ""], "--markdown is empty; give a value, or omit it"),
         (["--junit", "gate.xml", "--markdown", "baseline.yaml/gate.md"], "cannot write to baseline.yaml: "),
         (["--markdown", "gate.md", "--junit", f"new/{'x' * 300}"], "File name too long"),
         (["--junit", "gate.xml", "--markdown", "./gate.xml"], "gate.xml is named twice"),

@@ -371,6 +371,29 @@ WRONG = [
         "program.coupled: 'joint7' is not a joint; valid: joint1, joint2",
     ),
     (["--format", "rapid", "--set", "program.coupled={joint3: joint3}"], "'joint3' is coupled with itself"),
+    (
+        ["--format", "rapid", "--set", "program.coupled={joint3: joint2, joint2: joint4, joint4: joint3}"],
+        "program.coupled: a circle: joint3 -> joint2 -> joint4 -> joint3; valid: for each coupled axis",
+    ),
+    (["--format", "rapid", "--set", "program.coupled=[[joint3, joint2], [joint3, joint1]]"], "'joint3' is given twice"),
+    (["--format", "rapid", "--set", "program.tool_name=''"], "program.tool_name is ''"),
+    (["--feed", "1e-6mm/s"], "more than 86,400 s: the feed is 1e-06 mm/s; choose a higher feed"),
+    *(
+        (["--set", f"program.{kind}={[1e-9] * 6}"], f" is 1e-09 {unit}; raise it, for example by program.{kind}")
+        for kind, unit in (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
+    ),
+    (
+        ["--set", f"program.acceleration={[1e9] * 6}", "--set", f"program.jerk={[1.0] * 6}"],
+        "the motion takes 1e+09 s, more than 86,400 s: the jerk limit of joint1 is 1 rad/s3",
+    ),
+    (
+        ["--set", f"program.velocity={[1e-3] * 6}", "--step-ms", "0.1"],
+        "choose a larger --step-ms, or program.control_step_s",
+    ),
+    (
+        ["--set", "program.control_step_s=1e-9", "--format", "urscript"],
+        "program.control_step_s is 1e-09: at least 0.0001 is needed",
+    ),
     (["--format", "urscript", "--set", "program.coupled={joint3: joint2}"], "does not support program.coupled; remove"),
     (
         ["--format", "rapid", "--set", "program.coupled=joint3"],

@@ -354,6 +354,8 @@ def test_a_file_depends_on_its_motion_alone(format):
 
 
 NO_CONFIGURATION = TimedMotion(*(column[:0] for column in a_motion()[:6]), a_motion().joint_names)
+RAPID, URSCRIPT = ("ENDPROC", "endproc", "Proc", "TEST", "MoveAbsJ", "v50", "fine"), ("end", "sec", "True", "movej")
+SHORT = a_motion()._replace(time_s=np.array([0.0, 1e-9, 0.2]))
 STILL = a_motion()._replace(time_s=np.array([0.0, 0.2, 0.2]))
 OFF_STEP = a_motion()._replace(time_s=np.array([0.0, 0.1, 0.2013]))
 FRAME_0 = whole(a_motion()).user_frame._replace(number=0)
@@ -370,7 +372,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("jbi", a_motion(), {"user_frame": None}, "set program.user_frame"),
         ("jbi", a_motion(), {"user_frame": FRAME_0}, "user frame 0; valid: 1 to 63"),
         ("jbi", a_motion(7), {}, "an arm of 7 joints; RECTAN positions need 6"),
-        ("jbi", a_motion(), {"name": "Größe"}, "'Größe' is not a valid job name"),
+        ("jbi", a_motion(), {"name": "Größe"}, "job name 'Größe' is not valid"),
         ("jbi", a_motion(), {"speed": None}, "set program.velocity"),
         (
             "jbi-pulses",
@@ -385,12 +387,21 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
         ("rapid", a_motion(7), {}, "a robot of 7 joints; robjoint needs 6"),
         ("rapid", a_motion(), {"slides": (True, *[False] * 5)}, "j0 is a slide joint; put it into program.groups.base"),
         ("rapid", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
-        ("rapid", a_motion(), {"tool_name": "2 tools"}, "program.tool_name '2 tools' is not a valid name"),
-        ("rapid", a_motion(), {"name": "2 welds"}, "'2 welds' is not a valid procedure name"),
+        ("rapid", a_motion(), {"tool_name": "2 tools"}, "program.tool_name '2 tools' is not valid"),
+        ("rapid", a_motion(), {"name": "2 welds"}, "procedure name '2 welds' is not valid"),
+        *(("rapid", a_motion(), {"name": word}, f"name {word!r} is a word of the language") for word in RAPID),
+        (
+            "rapid",
+            a_motion(),
+            {"name": "torch", "tool_name": "Torch"},
+            "name 'torch' is a word of the language, or used",
+        ),
+        ("rapid", a_motion(), {"tool_name": "Pers"}, "program.tool_name 'Pers' is a word of the language"),
+        *(("urscript", a_motion(), {"name": word}, f"name {word!r} is a word of the language") for word in URSCRIPT),
         ("jbi-pulses", MANY, {}, "but a job has at most 9,999; use a path with fewer points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),
         ("urscript", a_motion(), {"slides": (True, *[False] * 5)}, "1 of which slide"),
-        ("urscript", a_motion(), {"name": "2 welds"}, "'2 welds' is not a valid function name"),
+        ("urscript", a_motion(), {"name": "2 welds"}, "function name '2 welds' is not valid"),
         ("urscript", OFF_STEP, {}, "a configuration at 0.2013 s; times must be multiples of the controller's 0.002 s"),
     ],
 )
@@ -398,3 +409,8 @@ def test_what_a_format_cannot_hold_is_one_line_that_names_it(format, timed, give
     with pytest.raises(InputError) as caught:
         program_text(format, timed, whole(timed)._replace(**given))
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_move_of_a_rapid_program_has_a_time_of_0():
+    found = re.findall(r"T:=([0-9.]+)", program_text("rapid", SHORT, whole(SHORT)))
+    assert found == ["0.000001", "0.200000"]

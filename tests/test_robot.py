@@ -320,7 +320,11 @@ BAD_MODELS = {
     "not xml": ("no model at all", {}, "not a model that MuJoCo can read: "),
     "not mjcf": ("<html></html>", {}, "not a model that MuJoCo can read: "),
     "empty": ("", {}, "not a model that MuJoCo can read: "),
-    "no geoms": (arm(geom=" "), {}, "no capsule or sphere geoms; geoms of the model: none"),
+    "no geoms": (
+        arm(geom=" "),
+        {},
+        "; with --visual if the model has only visual geometry",
+    ),
     "only others": (
         arm(
             geom='<geom type="box" size="1 1 1"/><geom type="mesh" mesh="m"/>',

@@ -307,7 +307,11 @@ BROKEN = {
         'lower="2" upper="-1"',
         "joint 'bend' has range 2 to -1; the lower limit must come first",
     ),
-    "no shapes": ("collision>", "visual>", "no shapes to enclose by capsules; geoms of the model: none"),
+    "no shapes": (
+        "collision>",
+        "visual>",
+        "geoms of the model: none; if the model has only visual geometry, pass --visual to enclose it",
+    ),
 }
 
 

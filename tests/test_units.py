@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toy
 import trimesh
 
 from htcp_jax.cli import main
@@ -271,3 +272,13 @@ def test_a_tool_in_millimetres_and_a_base_in_degrees_are_refused(change, reporte
     """Tool in millimetres, base in degrees: refused (regression: planned with a TCP 270 m from the flange)."""
     with pytest.raises(InputError, match=re.escape(reported)):
         scene(load_config(None, change))
+
+
+def test_a_tool_that_is_nearly_as_long_as_the_arm_is_accepted_and_a_longer_one_is_warned_of():
+    """A torch of 0.8 m on an arm of 0.8 m (regression: refused, as if its length were not in metres)."""
+    links = max_reach(toy.robot()) - 0.2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        units.check_tool(toy.robot(), 1.2 * links)
+    with pytest.warns(UserWarning, match=r"the TCP is .* m from the last joint; check that lengths are in metres"):
+        units.check_tool(toy.robot(), 3 * links)

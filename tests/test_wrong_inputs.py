@@ -39,6 +39,7 @@ FACES = (
 BASELINE = str(Path(__file__).parents[1] / "sweeps" / "baselines" / "workpiece.yaml")
 GRID = {"grid.yaml": "grid: [margin_m: [0]]"}
 HUGE = "grid: [" + ", ".join(f"start_rad.{k}: [" + ", ".join(["0"] * 11) + "]" for k in range(1, 7)) + "]"
+WITH_OUT = "plan", "program", "robot", "cell", "sweep", "report", "render", "place", "reachability"
 FILES = {"path.csv": "0.1857,-0.1737,0.1708\n0.19,-0.1738,0.1705\n", "box.xyz": BOX, "arm.xml": ARM, "arm.urdf": URDF}
 
 
@@ -274,24 +275,29 @@ COMMANDS = [
     Wrong(["plan", "--set", "margin_m=*a"], "alias *a"),
     Wrong(["plan", "--set", "settings..seed=1"], "unknown key settings."),
     Wrong(["plan", "--method", "rrt"], "'rrt' is not a method; valid: baseline"),
-    Wrong(["plan", "--method", ""], "method is None"),
+    Wrong(["plan", "--method", ""], "--method is empty"),
+    *(Wrong([command, "x", "--out", ""], "--out is empty; give a value, or omit it") for command in WITH_OUT),
+    Wrong(["plan", "--out="], "--out is empty; give a value, or omit it"),
+    Wrong(["view", " "], "an argument is empty; give a value, or omit it"),
     Wrong(["plan", "--device", "tpu"], "device is 'tpu'"),
     Wrong(["plan", "--device", "gpu:x"], "device is 'gpu:x'"),
     Wrong(["sweep"], "SWEEP.yaml"),
     Wrong(["sweep", "nowhere.yaml"], "cannot read nowhere.yaml"),
     Wrong(["sweep", "."], "cannot read .: not a regular file"),
     Wrong(["sweep", LONG], "File name too long"),
-    Wrong(["sweep", "grid.yaml", "--limit", "0"], "limit is 0", GRID),
+    Wrong(["sweep", "grid.yaml", "--limit", "0"], "'--limit': Input should be greater than or equal to 1", GRID),
     Wrong(["sweep", "grid.yaml", "--limit", "x"], "--limit", GRID),
-    Wrong(["sweep", "grid.yaml", "--shard", "-3"], "shard_scenarios is -3", GRID),
+    Wrong(["sweep", "grid.yaml", "--shard", "-3"], "'--shard': Input should be greater than or equal to 1", GRID),
     Wrong(["sweep", "grid.yaml", "--seed", "-1"], "settings.seed", GRID),
     Wrong(["sweep", "grid.yaml", "--on", "mars"], "on is 'mars'", GRID),
-    Wrong(["sweep", "grid.yaml", "--methods", ""], "no methods; valid: all", GRID),
+    Wrong(["sweep", "grid.yaml", "--methods", ""], "--methods is empty", GRID),
     Wrong(["sweep", "grid.yaml", "--methods", ","], "no methods; valid: all", GRID),
     Wrong(["sweep", "grid.yaml", "--methods", "baseline,rrt"], "'rrt'", GRID),
     Wrong(["sweep", "grid.yaml", "--methods", "hybrid,hybrid"], "method hybrid is given twice", GRID),
     Wrong(["sweep", "grid.yaml", "--config", "no.yaml"], "cannot read no.yaml", GRID),
     Wrong(["sweep", "grid.yaml", "--config", LONG], "File name too long", GRID),
+    Wrong(["sweep", "grid.yaml", "--out", "p"], "p contains a plan of htcp plan", GRID | {"p/summary.json": "{}"}),
+    Wrong(["plan", "--out", "r"], "r contains a run of htcp sweep (manifest.json)", {"r/manifest.json": "{}"}),
     Wrong(["sweep", "grid.yaml", "--out", LONG], "File name too long", GRID),
     Wrong(["sweep", "grid.yaml", "--out", f"new/{LONG}"], "File name too", GRID),
     Wrong(["sweep", "grid.yaml", "--out", "path.csv"], "write to path.csv", GRID),
@@ -646,6 +652,13 @@ def test_a_wrong_input_is_one_line_that_names_the_offender_exit_2_and_no_file(he
     assert output.err.count("\n") == 1 and output.err.startswith("htcp: ") and wrong.says in output.err
     assert wrong.name in output.err
     assert (code, output.out) == (2, "") and contents(here) == before
+
+
+@pytest.mark.parametrize("platform", ["cuda", "nonsense"])
+def test_a_platform_that_the_machine_lacks_is_one_line_and_exit_2(here, platform):
+    done = command("plan", subprocess.DEVNULL, JAX_PLATFORMS=platform)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and not list(here.iterdir())
+    assert f"JAX_PLATFORMS={platform}: JAX finds no such device on this machine; valid: cpu" in done.stderr
 
 
 def test_there_are_300_different_ones():

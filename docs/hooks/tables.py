@@ -78,9 +78,11 @@ def keys_table() -> str:
 
 def columns_table(table: str) -> str:
     """Return the table of the columns of a Parquet table."""
-    texts = columns.TABLES[table].items()
-    rows = (f"| `{name}` | {columns.unit_of(name, ())} | {_cell(text)} |" for name, text in texts)
-    return "| column | unit | description |\n|---|---|---|\n" + "\n".join(rows)
+    texts, needed = columns.TABLES[table].items(), columns.NEEDED[table]
+    rows = (
+        f"| `{name}` | {columns.unit_of(name, ())} | {needed.get(name, '')} | {_cell(text)} |" for name, text in texts
+    )
+    return "| column | unit | has a value | description |\n|---|---|---|---|\n" + "\n".join(rows)
 
 
 def json_table(name: str) -> str:

@@ -64,6 +64,7 @@ def _imported(name: str):
     function = getattr(importlib.import_module(f"htcp_jax.cli.{name}"), name)
     if "jax" in sys.modules:  # some commands do not import JAX
         importlib.import_module("htcp_jax.caching.cache_folder").enable()
+        importlib.import_module("htcp_jax.backend").check_platforms()
     alone = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
     alone.command(name, short_help=COMMANDS[name])(function)
     return typer.main.get_command(alone)
@@ -165,6 +166,11 @@ def _run(words: list[str]) -> int:
     """Run the command line with these arguments and return the exit code."""
     if any("\0" in word for word in words):
         raise InputError("an argument contains a NUL byte, which no file name can contain")
+    for before, word in zip(["", *words], words, strict=False):
+        option, equals, value = word.partition("=") if word.startswith("--") else (before, "=", word)
+        if equals and not value.strip():  # the name of a file would become that of the current folder
+            what = option if option.startswith("-") else "an argument"
+            raise InputError(f"{what} is empty; give a value, or omit it")
     if words[0] in COMPLETION and len(words) > 1:
         os.environ["_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION"] = "1"  # use the shell that the argument names
     with warnings.catch_warnings():

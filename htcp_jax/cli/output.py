@@ -43,7 +43,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of the ta
 
 # Options of the commands that plan.
 SweepFile = Annotated[Path, typer.Argument(metavar="SWEEP.yaml", help="Sweep file or example.")]
-Limit = Annotated[int | None, typer.Option(metavar="N", help="Plan only the first N scenarios.")]
+Limit = Annotated[int | None, typer.Option(metavar="N", min=1, help="Plan only the first N scenarios.")]
 Config = Annotated[Path | None, typer.Option(metavar="CONFIG.yaml", help="Job file that replaces the sweep's job.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the job; may be repeated.")
@@ -60,14 +60,16 @@ def claim_device(device: str | None) -> None:
         device: Name of the device, such as cpu or gpu:1, see `device.devices`; None: a GPU if there is one.
 
     Raises:
-        InputError: If this host does not have the device.
+        InputError: If this host does not have the device, or none that JAX_PLATFORMS allows.
     """
     import jax  # imported here, as it takes a second
 
+    from htcp_jax.backend import check_platforms
     from htcp_jax.device import devices
 
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
+    check_platforms()
     devices.choose(device)
 
 

@@ -88,8 +88,10 @@ def plan(
     threading.Thread(target=_load_matplotlib, daemon=True).start()
     with _programs_preloaded(job, device):
         from htcp_jax import api  # imported here, as it imports JAX
+        from htcp_jax.runs import plan_folder
         from htcp_jax.system import output_files
 
+        plan_folder.refuse_run(out)
         with output_files.written_whole(out) as folder:
             made = plan_with_progress(job, source_of(config), device)
             made.write(folder, retract=retract)

@@ -227,7 +227,7 @@ def _time_all(
 
 
 def _check_motion(run: Path, made: PlanProgram, scenario: int) -> dict[str, int | float]:
-    timed = made.program.timed()
+    timed = made.program.timed(made.program.long_step_s(1e-3))
     with progress_bar("configurations") as progress:
         found = check_timed(run, timed, made.method, scenario, progress=progress)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}

@@ -46,7 +46,7 @@ Out = Annotated[
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 Shard = Annotated[
     int | None,
-    typer.Option(metavar="N", help="Scenarios per work unit; by default as many as take about a minute."),
+    typer.Option(metavar="N", min=1, help="Scenarios per work unit; by default as many as take about a minute."),
 ]
 
 

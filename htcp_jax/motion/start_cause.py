@@ -207,7 +207,8 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
         off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
-        return StartCause(f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of the point")
+        text = f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of the point"
+        return StartCause(text + _at_limits(problem.robot, at.x[best]))
     found = _Measured.at(problem, s, at.x[reached])
     least = found.distance.min(axis=1)
     if clear := int((least > 0).sum()):
@@ -231,6 +232,13 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     row = int(deepest[k])
     attempt = Attempt(found.x[k], *found.pair(row, k), found.points[k, row], depth_m)
     return StartCause(text, body, other, depth_m, attempt=attempt)
+
+
+def _at_limits(robot: Robot, x: Float[np.ndarray, "N"]) -> str:
+    """Return the names of the joints that are at their limits at a configuration, as the end of a sentence."""
+    lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
+    at = [name for name, is_at in zip(robot.joint_names, (x <= lower) | (x >= upper), strict=True) if is_at]
+    return f", with {', '.join(at)} at the joint limits" if at else ""
 
 
 def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause | None:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from htcp_jax.errors import InputError
 from htcp_jax.io import arrays
 from htcp_jax.placement import mounting, ranges
+from htcp_jax.runs import finite
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.system import files
 
@@ -58,7 +59,9 @@ def read_search(folder: str | Path) -> SearchTable:
     try:
         requested, reported = (files.read_json(folder / name, folder) for name in (plan_sets.SEARCH, mounting.RANKED))
         with files.opened(folder / mounting.MOUNTINGS, folder, files.LARGEST) as stream:
-            return _search_table(requested, reported, arrays.read_parquet(stream, folder / mounting.MOUNTINGS))
+            table = arrays.read_parquet(stream, folder / mounting.MOUNTINGS)
+        finite.check_table(table, "mountings", folder / mounting.MOUNTINGS)
+        return _search_table(requested, reported, table)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, pa.ArrowException) as error:
         raise InputError(
             f"{folder} contains a damaged search: {error if isinstance(error, InputError) else repr(error)}"

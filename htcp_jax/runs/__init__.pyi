@@ -1,6 +1,7 @@
 from . import (
     checkpoint,
     columns,
+    finite,
     identity,
     input_files,
     labels,
@@ -30,6 +31,7 @@ __all__ = [
     "RunningSummary",
     "checkpoint",
     "columns",
+    "finite",
     "identity",
     "input_files",
     "labels",

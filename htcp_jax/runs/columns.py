@@ -206,6 +206,20 @@ MOUNTINGS = {
 }
 TABLES = {"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS}
 
+# The only rules for values that are not finite: a value may be missing (null, or NaN in arrays) in the rows and columns
+# that are not listed here. Infinity is never valid. `finite` applies these rules to all tables that are read.
+ALWAYS, TRACKED, PROVEN = "in every row", "where a target is tracked", "where the segment is proven"
+NEEDED = {  # rows in which a column must have a value
+    "targets": dict.fromkeys((*BOTH, "target", "status", "iterations", "recovery", "target_xyz"), ALWAYS)
+    | dict.fromkeys(("clearance_m", "residual_m", "joint_step_rad", "tcp", "x"), TRACKED)
+    | {"segment_clearance_m": PROVEN},
+    "scenarios": dict.fromkeys((*BOTH, "targets", "executable", "complete", "after_recovery", "blocked_paths"), ALWAYS)
+    | dict.fromkeys((*parameters.ROTATIONS, "shift", parameters.TOOL, "margin_m", "path", "start"), ALWAYS)
+    | dict.fromkeys(("clearance_min_m", "residual_max_m", "joint_motion_rad"), TRACKED),
+    "timing": dict.fromkeys(("scenario", "feed_m_s"), ALWAYS),
+    "mountings": dict.fromkeys(("round", "done", "complete"), ALWAYS),
+}
+
 
 class Column(NamedTuple):
     """Column of a table."""
@@ -276,6 +290,24 @@ def split_unit(name: str) -> tuple[str, str]:
     """Return the stem and the unit of a column's name; the unit is "" if the name has none."""
     found = ((name.removesuffix(end), unit) for end, unit in UNITS.items() if name.endswith(end))
     return next(found, (name, ""))
+
+
+def needed_in(column: str, table: str, joints: Sequence[str]) -> str | None:
+    """Return the rows in which a column must have a value: ALWAYS, TRACKED or PROVEN; None if it may always be missing.
+
+    Args:
+        column: Name of the column.
+        table: Name of the table in `TABLES`.
+        joints: Names of the columns of x.
+    """
+    if column in joints or (table == "targets" and column.startswith("q_")):
+        key = "x"
+    elif column in parameters.start_columns(joints):
+        key = "start"
+    else:
+        stem = column[:-4] if column.endswith(("_x_m", "_y_m", "_z_m")) else column
+        key = "target_xyz" if stem == "target" != column else stem
+    return NEEDED[table].get(key)
 
 
 def described(rows: pa.Table, table: str, joints: Sequence[str], made: Mapping[str, Any]) -> pa.Table:

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.motion import Plans, ViaPoints
-from htcp_jax.runs import parameters
+from htcp_jax.motion import Plans, ViaPoints, plans
+from htcp_jax.runs import parameters, tables
+from htcp_jax.runs.finite import check_arrays
 from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
@@ -116,6 +117,7 @@ class FolderPlan:
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
         joints = record.arrays["x"].shape[-1]
         _check_shapes(folder / TRAJECTORY, record.arrays, joints)
+        check_arrays(record.arrays, tables.READ | {"x": "x", "tcp": "tcp", "target": "target_xyz"}, folder / TRAJECTORY)
         via_points = _read_via_points(folder / TRAJECTORY, record, joints)
         arrays = {name: array[None] for name, array in record.arrays.items()}
         self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0)
@@ -126,6 +128,7 @@ class FolderPlan:
         return self._plans
 
 
+FLOATS = frozenset(name for name, empty in plans.EMPTY.items() if isinstance(empty, float)) | {"start"}
 PlanSet = RunPlans | FolderPlan
 
 
@@ -202,8 +205,9 @@ def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
     kinds = target.dtype.kind in "iu" and x.dtype.kind == share.dtype.kind == "f"
     if x.shape != (len(target), joints) or share.shape != target.shape or not kinds:
         raise InputError(f"{file} is damaged: the via points have the shape {x.shape}")
-    if len(wrong := np.flatnonzero(~(np.isfinite(x).all(axis=1) & np.isfinite(share)))):
-        raise InputError(f"{file} is damaged: a via point to target {target[wrong[0]]} is NaN or infinite")
+    wrong = ~((np.abs(x) < files.LARGEST_NUMBER).all(axis=1) & (np.abs(share) < files.LARGEST_NUMBER))
+    if wrong.any():
+        raise InputError(f"{file} is damaged: a via point to target {target[wrong.argmax()]} is NaN or infinite")
     return ViaPoints(np.zeros(len(target), np.int32), target, x, share)
 
 
@@ -216,5 +220,5 @@ def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> Non
     count = arrays["status"].size
     shapes = {"start": (joints,), "x": (count, joints), "tcp": (count, 3), "target": (count, 3)}
     for name, array in arrays.items():
-        if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in "fiu":
-            raise InputError(f"{file} is damaged: {name} has the shape {array.shape}")
+        if array.shape != shapes.get(name, (count,)) or array.dtype.kind not in ("f" if name in FLOATS else "iu"):
+            raise InputError(f"{file} is damaged: {name} has the shape {array.shape} and the type {array.dtype}")

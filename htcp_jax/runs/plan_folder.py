@@ -16,6 +16,7 @@ from htcp_jax.motion import Motion, Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import tables
 from htcp_jax.runs.identity import other_format
+from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.summary import Summary
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.system import files, output_files
@@ -32,6 +33,16 @@ class PlanRecord(NamedTuple):
     files: dict[str, str]  # SHA-256 of the files that the job names, by path
     arrays: dict[str, np.ndarray]  # fields of `Plans` by name, for the plan's only scenario
     via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,); see `ViaPoints`
+
+
+def refuse_run(folder: Path) -> None:
+    """Check that a folder for a plan contains no run, which would hide the plan.
+
+    Raises:
+        InputError: If it contains one.
+    """
+    if (folder / MANIFEST).exists():
+        raise InputError(f"{folder} contains a run of htcp sweep ({MANIFEST}); choose another folder for the plan")
 
 
 def read_plan(folder: Path) -> PlanRecord:

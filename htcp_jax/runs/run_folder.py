@@ -27,6 +27,7 @@ from htcp_jax.jobs import grid_axes, points_of
 from htcp_jax.motion import Plans
 from htcp_jax.notebook import html_facts
 from htcp_jax.runs import tables
+from htcp_jax.runs.finite import check_table
 from htcp_jax.runs.identity import other_format, recorded_config
 from htcp_jax.runs.labels import labels_of
 from htcp_jax.runs.manifest import (
@@ -227,10 +228,15 @@ class Run:
         """Return the checked rows of one file. Files of scenarios are small and cached."""
         file, record = self.shard_files(shard)[table]
         if table != "scenarios":
-            return _read_parquet(file, record, schema)
+            return self._checked(file, table, record, schema)
         if file.name not in self._small:
-            self._small[file.name] = _read_parquet(file, record, schema)
+            self._small[file.name] = self._checked(file, table, record, schema)
         return self._small[file.name]
+
+    def _checked(self, file: Path, table: str, record: FileRecord, schema: pa.Schema) -> pa.Table:
+        rows = _read_parquet(file, record, schema)
+        check_table(rows, table, file, self.manifest.joints)
+        return rows
 
 
 def open_run(folder: str | Path) -> Run:

@@ -29,7 +29,8 @@ from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import plan_here
-from htcp_jax.runs.manifest import Manifest
+from htcp_jax.runs.manifest import MANIFEST, Manifest
+from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
@@ -267,12 +268,17 @@ def _folder(out: str | Path | None) -> Iterator[tuple[Path, Any, Callable[[], No
 
     The function removes a new folder without results; it is also called at the end of the block. If `out` is None, the
     folder is temporary.
+
+    Raises:
+        InputError: If the folder contains a plan, which a run would hide.
     """
     if out is None:
         scratch = _Scratch()
         yield scratch.folder, scratch, lambda: None
         return
     folder = Path(out)
+    if (folder / SUMMARY).exists() and not (folder / MANIFEST).exists():
+        raise InputError(f"{folder} contains a plan of htcp plan ({SUMMARY}); choose another folder for the run")
     with output_files.made_folder(folder) as is_new:
 
         def discard() -> None:

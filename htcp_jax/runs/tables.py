@@ -239,7 +239,7 @@ def plans_of(
         raise IndexError(f"{len(targets):,} rows are too few for {count:,} scenarios with {t.max() + 1:,} targets")
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
-    for name, column in _READ.items():
+    for name, column in READ.items():
         getattr(plans, name)[s, t] = _numpy(targets[column], plan_arrays.EMPTY[name])
     plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]
     for array, names in ((plans.x, joints), (plans.tcp, _axes("tcp")), (plans.target, _axes("target"))):
@@ -252,7 +252,7 @@ def plans_of(
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=DeadEnds.of(ends))
 
 
-_READ = {  # arrays of `Plans` that are read as they are, with their columns
+READ = {  # arrays of `Plans` that are read as they are, with their columns
     "clearance": "clearance_m", "residual": "residual_m", "orientation_error": "orientation_error_rad",
     "status": "status", "iterations": "iterations", "joint_step": "joint_step_rad", "recovery": "recovery",
     "path_clear": "path_clear", "segment_clearance": "segment_clearance_m",
@@ -270,14 +270,12 @@ def _segment(scenario: int, target: int, x: list[float], share: list[float] | No
         joints: Number of joints.
 
     Raises:
-        ValueError: If the number of shares differs from the number of via points, and for NaN and infinity.
+        ValueError: If the number of shares differs from the number of via points.
     """
     found = np.array(x, float).reshape(-1, joints)
     shares = np.zeros(len(found)) if share is None else np.array(share, float)
     if len(shares) != len(found):
         raise ValueError(f"{len(found)} via points with {len(shares)} shares")
-    if not (np.isfinite(found).all() and np.isfinite(shares).all()):
-        raise ValueError(f"a via point to target {target} of scenario {scenario} is NaN or infinite")
     return scenario, target, found, shares
 
 

@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 from htcp_jax.errors import InputError
 from htcp_jax.io import arrays
 from htcp_jax.runs.columns import WRITTEN_BY, described
+from htcp_jax.runs.finite import check_table
 from htcp_jax.system import files
 
 TIMING = "timing"
@@ -111,8 +112,11 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
             after = SCHEMA.get_field_index("feed_target")
             rows = rows.add_column(after, SCHEMA.field(after), pa.nulls(len(rows), pa.int32()))
         rows = rows.cast(SCHEMA)
+        check_table(rows, TIMING, file)
         known = _of_results(shards, method, made["results"])
         there = [number in known for number in rows["scenario"].to_pylist()]
+        if not 0 < float(made["feed_m_s"]) < files.LARGEST_NUMBER:
+            raise ValueError(f"feed_m_s is {made['feed_m_s']}; {files.NOT_FINITE}")
         return Timing(float(made["feed_m_s"]), dict(made["limits"]), rows.filter(pa.array(there, pa.bool_())))
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         what = " ".join(str(error).split())

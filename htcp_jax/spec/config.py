@@ -94,6 +94,26 @@ def _coupled(value: Any) -> tuple[tuple, ...]:
     return _pairs(value, "axes to joints: {AXIS: JOINT, ...}")
 
 
+def _without_circle(pairs: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of `program.coupled`.
+
+    Raises:
+        InputError: If an axis is given twice, or if axes are coupled in a circle.
+    """
+    following = dict(pairs)
+    for axis in following:
+        if sum(own == axis for own, _ in pairs) > 1:
+            raise InputError(f"{axis!r} is given twice; valid: one joint for each coupled axis")
+        circle = [axis]
+        while (joint := following.get(circle[-1])) is not None and joint not in circle:
+            circle.append(joint)
+        if joint == axis:
+            around = f"a circle: {' -> '.join([*circle, axis])}"
+            what = around if circle[1:] else f"{axis!r} is coupled with itself"
+            raise InputError(f"{what}; valid: for each coupled axis, the joint that moves it, without a circle")
+    return pairs
+
+
 def _locked(value: Any) -> tuple[tuple, ...]:
     """Return the pairs (joint, position) of `robot.locked`, sorted by joint."""
     return tuple(sorted(_pairs(value, "joints to positions; valid: {JOINT: VALUE, ...}")))
@@ -118,7 +138,9 @@ def _link(name: str) -> str:
 PathColumn = Annotated[int | str, PlainValidator(_column)]
 Link = Annotated[str, Field(min_length=1), AfterValidator(_link)]  # name of a link or site, world, or SECTION.LINK
 LockedJoints = Annotated[tuple[tuple[str, Number], ...], BeforeValidator(_locked), PlainSerializer(dict)]
-CoupledAxes = Annotated[tuple[tuple[str, str], ...], BeforeValidator(_coupled), PlainSerializer(dict)]
+CoupledAxes = Annotated[
+    tuple[tuple[str, str], ...], BeforeValidator(_coupled), AfterValidator(_without_circle), PlainSerializer(dict)
+]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
 # An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
@@ -346,7 +368,7 @@ class ProgramConfig(strict_model.FileSection):
     full_speed_s: Moment = 0.2  # time to reach the velocity limit, without acceleration limits
     full_acceleration_s: Moment = 0.1  # time to reach the acceleration limit, without jerk limits
     tool: int = Field(0, ge=0, le=63)  # number of the tool in the controller
-    tool_name: str | None = None  # name of the tool data, for rapid; None: tool<number>
+    tool_name: str | None = Field(None, min_length=1)  # name of the tool data, for rapid; None: tool<number>
     # for rapid: axes whose value is the sum of their own joint and another joint, such as {joint_3: joint_2}
     coupled: CoupledAxes = ()
     # joints in programs if joints follow others: commanded, or also those that follow; None: chosen by the format
@@ -354,7 +376,7 @@ class ProgramConfig(strict_model.FileSection):
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
     groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are in the robot's group
-    control_step_s: Moment = 0.002  # time step of the controller
+    control_step_s: float = Field(0.002, ge=1e-4, le=0.1)  # time step of the controller
 
     @field_validator("feed", mode="before")
     @classmethod

@@ -13,7 +13,6 @@ import errno
 import io
 import json
 import logging
-import math
 import os
 import re
 import secrets
@@ -29,6 +28,8 @@ from htcp_jax.system.unfinished import NO_LINK, PART, READ, lock_file
 LARGEST_NAMED = 2 * 2**30  # maximum size of a file that a job names, and of a Parquet file [bytes]
 LARGEST = 64 * 2**20  # maximum size of any other file in a folder, and of decompressed data [bytes]
 TAIL = 10_000  # size of the part of a text in which its last line end is looked for [bytes]
+LARGEST_NUMBER = 1e100  # numbers of this magnitude or more count as infinite: computations with them overflow
+NOT_FINITE = f"numbers must be finite, with a magnitude below {LARGEST_NUMBER:g}"
 MOST_VALUES, DEEPEST = 5_000_000, 100  # maximum number of values and nesting depth of JSON
 NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK | getattr(os, "O_BINARY", 0)
 
@@ -156,8 +157,8 @@ def read_json(file: Path, folder: Path) -> Any:
 
 
 def _finite(text: str) -> float:
-    if not math.isfinite(number := float(text)):
-        raise ValueError(f"{text[:40]} is not a finite number")
+    if not abs(number := float(text)) < LARGEST_NUMBER:
+        raise ValueError(f"{text[:40]}: {NOT_FINITE}")
     return number
 
 
@@ -186,8 +187,8 @@ def write_atomically(folder: Path, name: str, data: bytes) -> None:
     file = folder / name
     try:
         place = resolved_inside(file.parent, folder)
-        if file.exists() and not file.is_file() and not file.is_dir():
-            raise InputError(f"cannot write to {file}: not a regular file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"cannot write to {file}: {'it is a folder' if file.is_dir() else 'not a regular file'}")
         part = place / f"{PART}{secrets.token_hex(8)}"
         try:
             with open(os.open(part, NEW, 0o666), "wb") as stream:

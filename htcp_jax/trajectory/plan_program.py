@@ -112,7 +112,7 @@ class PlanProgram(NamedTuple):
         """Largest joint torque; None if the arm's model has no inertias."""
         if (model := model_of(self.job.robot, self.job.tree)) is None:
             return None
-        timed = self.program.timed(TORQUES_EVERY_S)
+        timed = self.program.timed(self.program.long_step_s(TORQUES_EVERY_S))
         torque = torques(model, dict(self.job.robot.locked), self.robot.coupling)(
             timed.x, timed.velocity, timed.acceleration
         )
@@ -181,8 +181,6 @@ class PlanProgram(NamedTuple):
         for axis, joint in requested:
             if wrong := [name for name in (axis, joint) if name not in own]:
                 raise InputError(f"program.coupled: {self._not_commanded(wrong[0])}")
-            if axis == joint:
-                raise InputError(f"program.coupled: {axis!r} is coupled with itself; give the joint that moves it")
             if between := self._followers_between(joint, axis):
                 raise InputError(
                     f"program.coupled: the arm's model has this coupling: {between} follows {joint}; remove the key"

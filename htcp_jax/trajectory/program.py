@@ -24,7 +24,13 @@ from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
+LONGEST_S = 86_400.0  # maximum duration of a motion, one day: a longer one has a wrong limit or feed
+MOST_SAMPLES = 1_000_000  # maximum number of samples, limited by memory
 HELD, AT_REST = 0.99, 1e-6  # speeds / feed below which a feed drop begins, and below which the arm counts as at rest
+
+
+class NothingToTimeError(InputError):
+    """The motion has no configurations, or the arm does not move."""
 
 
 class FeedDrop(NamedTuple):
@@ -59,9 +65,23 @@ class Program(NamedTuple):
         return float(self.ends_s[-1])
 
     def timed(self, step_s: float = 0.001) -> TimedMotion:
-        """Return samples of the motion every `step_s`, up to the first sample at or after its end."""
+        """Return samples of the motion every `step_s`, up to the first sample at or after its end.
+
+        Raises:
+            InputError: For more than MOST_SAMPLES samples.
+        """
         count = int(np.ceil(self.duration_s / step_s - 1e-9))
+        if count > MOST_SAMPLES:
+            raise InputError(
+                f"the motion takes {self.duration_s:.6g} s, which are {count:,} configurations at a step of "
+                f"{1e3 * step_s:g} ms; at most {MOST_SAMPLES:,} are possible: choose a larger --step-ms, or "
+                "program.control_step_s"
+            )
         return self.at(step_s * np.arange(count + 1))
+
+    def long_step_s(self, step_s: float) -> float:
+        """Return a time step with at most MOST_SAMPLES samples [s]: `step_s`, or a longer one for a long motion."""
+        return max(step_s, self.duration_s / MOST_SAMPLES)
 
     def at_configurations(self) -> TimedMotion:
         """Return the motion's own configurations, with the times at which the program passes them.
@@ -125,19 +145,54 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
         feed_m_s: Feed rate of the TCP on the path.
 
     Raises:
-        InputError: If the feed rate is not above 0, if the motion has no configurations, or if the arm does not move.
+        InputError: If the feed rate is not above 0, or if the motion would take longer than LONGEST_S.
+        NothingToTimeError: If the motion has no configurations, or if the arm does not move.
     """
     if not 0 < feed_m_s < np.inf:
         raise InputError(f"feed is {feed_m_s} m/s; it must be above 0")
     if not len(motion.x):
-        raise InputError("the motion has no configurations: no target is executable")
+        raise NothingToTimeError("the motion has no configurations: no target is executable")
     if not np.any(motion.x != motion.x[0]):
-        raise InputError("the arm does not move in this motion, so there is nothing to time")
+        raise NothingToTimeError("the arm does not move in this motion, so there is nothing to time")
+    slowest = _slowest_limit(robot, motion, limits)
     parts = blends(robot, motion, left, limits, feed_m_s)
+    paths = [path_of_blend(robot, part) for part in parts]
+    length = sum(float(path.place[-1]) for path, part in zip(paths, parts, strict=True) if part.on_process)
+    if not length / feed_m_s <= LONGEST_S:
+        raise InputError(f"{_too_long(length / feed_m_s)}: the feed is {1e3 * feed_m_s:g} mm/s; choose a higher feed")
     scalings = [
-        time_scaling(path_of_blend(robot, part), limits, feed_m_s if part.on_process else np.inf) for part in parts
+        time_scaling(path, limits, feed_m_s if part.on_process else np.inf)
+        for path, part in zip(paths, parts, strict=True)
     ]
-    return Program(motion, parts, scalings, robot.joint_names, feed_m_s)
+    made = Program(motion, parts, scalings, robot.joint_names, feed_m_s)
+    if not made.duration_s <= LONGEST_S:
+        raise InputError(f"{_too_long(made.duration_s)}: {slowest}")
+    return made
+
+
+def _slowest_limit(robot: Robot, motion: Motion, limits: MotionLimits) -> str:
+    """Return the limit that lengthens a motion most, as text.
+
+    The shortest time for a joint's total travel d within one of its limits is d / v, 2 (d / a)^(1/2) or
+    (32 d / j)^(1/3), and the moving mean of the time scaling adds a / j.
+
+    Raises:
+        InputError: If this limit alone makes the motion longer than LONGEST_S.
+    """
+    d = np.abs(np.diff(motion.x, axis=0)).sum(axis=0)
+    v, a, j = limits
+    least = np.stack([d / v, 2 * np.sqrt(d / a), np.maximum(np.cbrt(32 * d / j), a / j)])
+    kind, joint = np.unravel_index(least.argmax(), least.shape)
+    unit = f"{'m' if robot.sliding[joint] else 'rad'}/s{('', '2', '3')[kind]}"
+    text = f"the {RATES[kind]} limit of {robot.joint_names[joint]} is {limits[kind][joint]:g} {unit}"
+    text += f"; raise it, for example by program.{RATES[kind]}"
+    if not least[kind, joint] <= LONGEST_S:
+        raise InputError(f"{_too_long(least[kind, joint])}: {text}")
+    return text
+
+
+def _too_long(seconds: float) -> str:
+    return f"the motion takes {seconds:.3g} s, more than {LONGEST_S:,.0f} s"
 
 
 def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program) -> list[FeedDrop]:

@@ -33,6 +33,7 @@ from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.limits_file import check_ranges, limits_of_job
 from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
+from htcp_jax.trajectory.program import NothingToTimeError
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 BLOCK = 64  # number of scenarios per write and torque computation, limited by memory
@@ -206,12 +207,12 @@ class _Timer:
         limits = joint_limits(robot, job.program, self._limits_in_file(job))
         try:
             made = timed_plan(plans, scenario, job, robot, goals, limits, self.requested.feed_m_s, method)
-        except InputError:  # the feed is valid: the arm never moves
+        except NothingToTimeError:
             return None
         return _TimedScenario(program_figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
 
     def _timed(self, made: PlanProgram) -> TimedMotion | None:
-        return None if self._model(made.job) is None else made.program.timed(TORQUES_EVERY_S)
+        return None if self._model(made.job) is None else made.program.timed(made.program.long_step_s(TORQUES_EVERY_S))
 
     def loads(self, block: Sequence[int], found: Sequence[_TimedScenario | None]) -> dict[int, PeakTorque]:
         """Return the peak torques of a block's motions, by scenario; an arm's motions are computed at once."""

@@ -121,18 +121,20 @@ def instants(scaling: SpeedProfile) -> Float[np.ndarray, "n"]:
 def _speed_limits(path: PathCurve, limits: MotionLimits, feed: float) -> _SpeedLimits:
     """Return the limits in closed form at every position of the grid."""
     _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
-    by_joint = np.stack(
-        [
-            limits.velocity / first,
-            np.sqrt(CURVED * limits.acceleration / second),
-            np.cbrt(CURVED * limits.jerk / third),
-        ]
-    )
+    with np.errstate(over="ignore"):  # infinite: no limit
+        by_joint = np.stack(
+            [
+                limits.velocity / first,
+                np.sqrt(CURVED * limits.acceleration / second),
+                np.cbrt(CURVED * limits.jerk / third),
+            ]
+        )
     flat = by_joint.transpose(1, 2, 0).reshape(len(first), -1)
     limit = flat.argmin(axis=1)
     least = flat[np.arange(len(flat)), limit]
     speed = np.minimum(least, feed)
-    push = ((limits.acceleration - second * speed[:, None] ** 2) / first).min(axis=1)
+    with np.errstate(over="ignore"):
+        push = ((limits.acceleration - second * speed[:, None] ** 2) / first).min(axis=1)
     return _SpeedLimits(speed, push, np.where(least < feed, limit, -1))
 
 

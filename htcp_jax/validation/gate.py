@@ -253,7 +253,7 @@ def _lines(
             lines[name] = None
         elif after is None:
             lines[name] = [f"the {name} is missing"]
-        elif sign * (after - before) > allowed + ROUNDING:
+        elif not sign * (after - before) <= allowed + ROUNDING:  # also for NaN
             lines[name] = [
                 f"the {name} is {after:.4g} mm, {before:.4g} mm in the baseline; allowed change: {allowed:g} mm"
             ]
@@ -274,7 +274,7 @@ def _times_broken(was: Times, now: Times | None, allow: Allowance) -> list[str]:
         wrong.append(f"{run_labels.counted(len(lost), 'scenario')} without a time, the first is {lost[0]}")
     both = was.cycle_time_s.keys() & now.cycle_time_s.keys()
     slower = {number: now.cycle_time_s[number] / was.cycle_time_s[number] for number in sorted(both)}
-    slower = {number: by for number, by in slower.items() if by > may + ROUNDING}
+    slower = {number: by for number, by in slower.items() if not by <= may + ROUNDING}
     if len(slower) > allow.scenarios:
         worst = max(slower, key=lambda number: slower[number])
         seconds = f"{now.cycle_time_s[worst]:.4g} s, {was.cycle_time_s[worst]:.4g} s in the baseline"

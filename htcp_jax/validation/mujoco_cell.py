@@ -122,9 +122,9 @@ class MujocoCell:
             a, b = pairs[int(depth.max(axis=0).argmax())]
             self.deepest = float(depth.max()), f"{self._arm.names[a]} and {self._arm.names[b]}"
         for k, pair in enumerate(self._own.by_mesh):
-            for row in np.flatnonzero(depth[:, k] > 0):
-                if (deep := touch_m(self._arm, pair, x[row])) > 0:
-                    found[row] = min(found[row], -deep)
+            for row in np.flatnonzero(~(depth[:, k] <= 0)):
+                if not (deep := touch_m(self._arm, pair, x[row])) <= 0:
+                    found[row] = np.minimum(found[row], -deep)
         return found
 
     def _of_carried(

@@ -158,9 +158,9 @@ class CheckedScene(WallDistances):
         ends = np.concatenate([arm_poses.p, arm_poses.q], axis=1)
         moved = [np.linalg.norm(ends - known.ends[b], axis=2) for b in (a, a + 1)]
         furthest = [each.max(axis=1, initial=0.0)[:, None] for each in moved]
-        may = (
+        may = ~(  # True also for NaN, as in all comparisons below
             np.maximum(known.surroundings[a] - 2 * furthest[0], known.surroundings[a + 1] - 2 * furthest[1])
-            <= below + SOLVER_M
+            > below + SOLVER_M
         )
         surroundings = self.surroundings(x, arm_poses, may)
         clearance = np.minimum(self.measured(x, arm_poses, kept, upper), surroundings.min(axis=1, initial=np.inf))
@@ -173,7 +173,7 @@ class CheckedScene(WallDistances):
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self.ends_outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])
         clearance = _worse(clearance, outside)
-        return arm_poses, np.where(clearance <= below, clearance, np.inf)
+        return arm_poses, np.where(clearance > below, np.inf, clearance)
 
     def carried_clearance(self, x: Float[np.ndarray, "n N"], upper: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the distance of fixtures that move with links from the wall [m]; exact only up to `upper`."""

@@ -70,4 +70,4 @@ def touch_m(arm: MujocoArm, pair: Pair, x: Float[np.ndarray, "N"]) -> float:
     """
     meshes: LinkMeshes = arm.meshes
     deep = meshes.deepest_m(*(arm.names[k] for k in pair), meshes.poses(x[None]))
-    return deep if deep > robot.TOUCHING_M else 0.0
+    return 0.0 if deep <= robot.TOUCHING_M else deep

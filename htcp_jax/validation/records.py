@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
 from htcp_jax.model import Workpiece
 from htcp_jax.motion import Plans
@@ -30,16 +29,10 @@ def read_results(folder: Path) -> Results:
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:
-    """Yield the tracks of all scenarios, method by method, so that only one method's results are in memory.
-
-    Raises:
-        InputError: If the start of a scenario is NaN or infinite.
-    """
+    """Yield the tracks of all scenarios, method by method, so that only one method's results are in memory."""
     for method in found.methods:
         plans = found.plans(method)
         for number in np.flatnonzero(plans.outcomes.planned).tolist():
-            if not np.isfinite(plans.start[number]).all():
-                raise InputError(f"{found.folder}: the start of scenario {number} of {method} is NaN or infinite")
             yield _track(method, number, found.jobs[number], plans)
 
 

@@ -23,12 +23,12 @@ class RowCheck(NamedTuple):
     """Deviation from one row of the task at n points of the path, and its tolerance, in metres or degrees."""
 
     row: TaskRowKind
-    off: Float[np.ndarray, "n"]  # deviation; NaN if not checked at this point
+    off: Float[np.ndarray, "n"] | None  # deviation; None if the row's kind has no independent check
     most: float
 
     def reason(self, number: int, k: int) -> str | None:
         """Return a sentence on the row's violation at the k-th point; None if the row is satisfied."""
-        if not self.off[k] > self.most + ROUNDING_M:
+        if self.off is None or self.off[k] <= self.most + ROUNDING_M:
             return None
         off, most = self.factor * self.off[k], self.factor * self.most
         return f"task.{number} ({self.row}) deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
@@ -46,7 +46,7 @@ class RowCheck(NamedTuple):
     @property
     def unchecked(self) -> bool:
         """True if the row's kind has no independent check."""
-        return bool(np.isnan(self.off).any())
+        return self.off is None
 
 
 class PartPose(NamedTuple):
@@ -202,12 +202,13 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
     off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
-    return RowCheck(row, np.rad2deg(off) if row.angular else off, limit or (most_deg if row.angular else most_m))
+    off = np.rad2deg(off) if row.angular and off is not None else off
+    return RowCheck(row, off, limit or (most_deg if row.angular else most_m))
 
 
 @singledispatch
-def _deviation(row: TaskRowKind, arm: PosedArm, *places: PartPose) -> Float[np.ndarray, "n"]:
-    """Return the deviation from a row [m or rad]; NaN without a check.
+def _deviation(row: TaskRowKind, arm: PosedArm, *places: PartPose) -> Float[np.ndarray, "n"] | None:
+    """Return the deviation from a row [m or rad]; None without a check.
 
     The method `deviation` of a class of another package computes it. Between two targets the result is the smallest
     deviation from three goals: at both targets, and halfway between them.
@@ -220,7 +221,7 @@ def _deviation(row: TaskRowKind, arm: PosedArm, *places: PartPose) -> Float[np.n
         own = with_arrays(row)
         vars(own).update(values)
         if (off := own.deviation(arm.frames)) is None:
-            return np.full(len(arm.x), np.nan)
+            return None
         found = np.minimum(found, off)
     return found
 
@@ -241,7 +242,8 @@ def _holds_between(
     row: TaskRowKind, arm: PosedArm, places: tuple[PartPose, PartPose], settings: Settings
 ) -> Bool[np.ndarray, "n"]:
     most = settings.tolerance_rad if row.angular else settings.tolerance_m
-    return ~(_deviation(row, arm, *places) > most + ROUNDING_M)
+    off = _deviation(row, arm, *places)
+    return np.ones(len(arm.x), bool) if off is None else off <= most + ROUNDING_M
 
 
 @_holds_between.register

@@ -125,7 +125,7 @@ def _turns_back(held: _PathConfigurations, line: Float[np.ndarray, "m 3"]) -> Bo
     moved = np.diff(held.tcp, axis=0)
     ahead = np.maximum(*((moved * part).sum(axis=1) for part in (forwards[:-1], forwards[1:])))
     bound = (np.diff(held.rows) == 1) & (length[1:, 0] >= ONE_POINT_M) & (length[:-1, 0] >= ONE_POINT_M)
-    return np.append(False, bound & (ahead < -ROUNDING_M))[: len(held.rows)]
+    return np.append(False, bound & ~(ahead >= -ROUNDING_M))[: len(held.rows)]
 
 
 def _measure(

@@ -89,7 +89,7 @@ def check(
     """
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     task, settings = track.config.task, track.config.settings
-    t = np.flatnonzero(track.tracked & np.isfinite(track.x).all(axis=1))
+    t = np.flatnonzero(track.tracked)
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     mesh, hulls = wall.triangles is not None, any(arm.hulls)
     cover_m = results.workpiece(track.config).cover_m if mesh else 0.0
@@ -101,9 +101,9 @@ def check(
     found = {
         "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
         "clearance": at.clearance[1:],
-        "clearance_off": _absolute_difference(np.minimum(more, 0.0) if bound else more),
-        "tcp_off": _absolute_difference(np.linalg.norm(at.arm_poses.tcp[1:] - track.tcp[t], axis=1)),
-        "target_off": _absolute_difference(np.linalg.norm(targets[t] - track.target[t], axis=1)),
+        "clearance_off": np.abs(np.minimum(more, 0.0) if bound else more),
+        "tcp_off": np.linalg.norm(at.arm_poses.tcp[1:] - track.tcp[t], axis=1),
+        "target_off": np.linalg.norm(targets[t] - track.target[t], axis=1),
     }
     tolerance, contact = settings.tolerance_m, track.config.workpiece.tip_contact_m
     through = np.zeros(len(t), bool)
@@ -144,13 +144,13 @@ def check(
 
 def required_m(track: Track) -> float:
     """Return the smallest saved clearance of a track [m], at least 0."""
-    saved = track.clearance[np.isfinite(track.clearance)]
+    saved = track.clearance[track.tracked]
     return max(0.0, float(saved.min()) - ROUNDING_M) if len(saved) else 0.0
 
 
 def _required(track: Track, t: np.ndarray) -> np.ndarray:
     """Return the saved clearances at targets t, preceded by the smallest one (for the start), each at least 0 [m]."""
-    return np.append(required_m(track), np.maximum(0.0, np.nan_to_num(track.clearance[t]) - ROUNDING_M))
+    return np.append(required_m(track), np.maximum(0.0, track.clearance[t] - ROUNDING_M))
 
 
 def scene_of(
@@ -194,13 +194,13 @@ def _at_targets(
     arm: MujocoArm, track: Track, t: np.ndarray, tolerance_m: float, record_m: float, found: dict[str, np.ndarray]
 ) -> list[tuple[int, str]]:
     """Return the refuted targets, each with the reason; so do the functions below."""
-    reasons = {int(k): ["no saved configuration"] for k in np.setdiff1d(np.flatnonzero(track.tracked), t)}
+    reasons = {}
     for k, target in enumerate(t.tolist()):
         own = {name: float(values[k]) for name, values in found.items()}
         reasons[target] = _failure_reasons(
             arm, tolerance_m, record_m, track.x[target], float(track.clearance[target]), own
         )
-    return [(k, "; ".join(reasons[k])) for k in sorted(reasons) if reasons[k]]
+    return [(k, "; ".join(found)) for k, found in reasons.items() if found]
 
 
 def _check_task_rows(
@@ -240,11 +240,6 @@ def _on_rows_between(
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
         yield target, f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
-
-
-def _absolute_difference(difference: np.ndarray) -> np.ndarray:
-    """Return the absolute value of differences; inf for a NaN, which is a missing saved value."""
-    return np.where(np.isnan(difference), np.inf, np.abs(difference))
 
 
 def _failure_reasons(

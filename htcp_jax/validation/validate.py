@@ -37,6 +37,7 @@ from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import TrackCheck, check
 
 LISTED = 100  # maximum number of refuted targets in the list
+MOST_BETWEEN = 10_000  # maximum number of steps between two targets, limited by memory
 
 
 def validate_results(
@@ -59,8 +60,8 @@ def validate_results(
     Raises:
         InputError: If the folder contains no results, if results are damaged, or if an argument is out of range.
     """
-    if between < 0:
-        raise InputError(f"between is {between}; it must be 0 or more")
+    if not 0 <= between <= MOST_BETWEEN:
+        raise InputError(f"between is {between}; valid: 0 to {MOST_BETWEEN:,}")
     if not 0 < feed_mm_s < np.inf:
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()

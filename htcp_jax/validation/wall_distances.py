@@ -236,7 +236,7 @@ class WallDistances:
         """Return False for the pieces that cannot contain the nearest point of an axis, see the module."""
         nearest = np.maximum(0.0, distance - self.wall.grain)
         least = np.sqrt(np.maximum(0.0, nearest**2 - pieces.half**2)) - self.arm.radius[pieces.capsule]
-        return least <= upper[pieces.row] + ROUNDING_M
+        return ~(least > upper[pieces.row] + ROUNDING_M)
 
 
 def initial_pieces(arm: MujocoArm, n: int) -> AxisPieces:

@@ -5,10 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
+from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import PlanProgram, Program, tcp_at
 from htcp_jax.viewer.arm_pose import ArmPose, arm_poses
 from htcp_jax.viewer.movie import RATE
+
+MOST_FRAMES = 50_000  # maximum number of frames of a movie
 
 INSTANTS = 600
 BOUNDS = 0.1, 100.0  # axis range of joint speed / limit [%]; logarithmic, as joints are slow along the path
@@ -76,8 +79,16 @@ def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]
     Args:
         duration_s: The robot program's duration.
         speed: Playback rate [1]; 1 is real time.
+
+    Raises:
+        InputError: For more than MOST_FRAMES frames.
     """
-    return np.arange(int(duration_s * RATE / speed) + 1) * speed / RATE
+    if (count := int(duration_s * RATE / speed) + 1) > MOST_FRAMES:
+        raise InputError(
+            f"the motion takes {duration_s:.6g} s; a movie of it at {speed:g} times real time has {count:,} frames, at "
+            f"most {MOST_FRAMES:,} are possible: choose a --speed of {duration_s * RATE / MOST_FRAMES:.3g} or more"
+        )
+    return np.arange(count) * speed / RATE
 
 
 def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -20,7 +20,7 @@ METRES = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01, "kilometre
 KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}  # values of `workpiece.unit`
 LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
 ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
-REMEDY = 'lengths must be in metres, and a mesh in millimetres needs scale="0.001 0.001 0.001" in the model'
+REMEDY = 'check that lengths are in metres; a mesh in millimetres needs scale="0.001 0.001 0.001" in the model'
 HALL = 50.0  # ratio of the size of a cell's mesh or cloud to the arm's reach from which on a warning is given
 STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
@@ -90,8 +90,10 @@ def check_cell_extent(robot: Robot, points: Float[np.ndarray, "P 3"], name: str,
 def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
     """Check that the tool and the bodies of an arm are in metres.
 
+    A UserWarning reports a tool more than twice as long as the arm's links together, and a body thicker than that.
+
     Raises:
-        InputError: For a tool longer than the arm's links together, and for a body thicker than that.
+        InputError: For an implausible length or radius.
     """
     tip = float(np.linalg.norm(np.asarray(robot.T_link_tcp)[:3, 3]))
     links, length, thickest = (
@@ -100,10 +102,11 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
         float(np.asarray(robot.capsule_radius).max()),
     )
     measured = f"the links of {robot.name} measure {links:.3g} m"
-    if length > links:
-        raise InputError(f"{measured}, but the TCP is {length:.3g} m from the last joint; lengths must be in metres")
+    if length > LARGE * links:
+        text = f"{measured}, but the TCP is {length:.3g} m from the last joint; check that lengths are in metres"
+        _report(text, length > ABSURD * links)
     if thickest > links:
-        raise InputError(f"{measured}, but a body has a radius of {thickest:.3g} m; {REMEDY}")
+        _report(f"{measured}, but a body has a radius of {thickest:.3g} m; {REMEDY}", thickest > ABSURD * links)
 
 
 def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:

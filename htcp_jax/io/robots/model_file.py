@@ -147,7 +147,8 @@ def read_robot_file(
     bodies += mounted
     if not bodies:
         known = f"geoms of the model: {geom_types or 'none'}"
-        raise InputError(f"{path}: no capsule or sphere geoms; {known}{geom_types and '; ' + _next_step(path)}")
+        visual = "" if geom_types else "; with --visual if the model has only visual geometry"
+        raise InputError(f"{path}: no capsule or sphere geoms; {known}; {_next_step(path)}{visual}")
     arrays = {
         "T_parent_joint": T_parent_joint,
         "axis": model.jnt_axis[joints] * np.where(is_reversed, -1.0, 1.0)[:, None],

@@ -225,7 +225,7 @@ def _enclosed_geoms(
     """Return those of the chosen geoms that are enclosed; raise InputError if there are none."""
     own = [geom for geom in chosen if not _is_excluded(geom, model) and _body_of(model, geom) not in omitted]
     if not own:
-        remedy = "" if visual else "; --visual encloses visual geometry"
+        remedy = "" if visual else "; if the model has only visual geometry, pass --visual to enclose it"
         kinds = ", ".join(sorted({geom.kind for geom in geoms})) or "none"
         raise InputError(f"{path}: no shapes to enclose by capsules; geoms of the model: {kinds}{remedy}")
     return own

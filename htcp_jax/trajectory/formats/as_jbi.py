@@ -21,6 +21,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, JointGroups, UserFrame, header
+from htcp_jax.trajectory.formats.names import check_name
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z0-9_-]{1,32}")
@@ -96,10 +97,7 @@ def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
 def _job(
     format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
 ) -> str:
-    if not NAME.fullmatch(controller.name):
-        raise InputError(
-            f"{format}: {controller.name!r} is not a valid job name; valid: up to 32 of A to Z, 0 to 9, - and _"
-        )
+    check_name(f"{format}: job name", controller.name, NAME, "up to 32 of A to Z, 0 to 9, - and _")
     if (lines := len(instructions) + 2) > MOST_LINES:
         raise InputError(
             f"{format}: {lines:,} lines, but a job has at most {MOST_LINES:,}; use a path with fewer points"

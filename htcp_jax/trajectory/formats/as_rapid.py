@@ -13,12 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.names import RAPID_WORDS, check_name
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # name of the procedure; identifiers have up to 32 characters
 TOOL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+USED = frozenset(("moveabsj", "noeoffs", "v50", "v1000", "z0", "fine"))  # names in a program, in lower case
 FLANGE_TOOL = "tool0"  # predefined; its TCP is at the flange
 ROBOT_AXES, EXTERNAL_AXES = 6, 6
+LEAST_S = 1e-6  # last digit of a time; a time of 0 is not valid
 NOT_CONNECTED = "9E9"
 MORE = (
     "The arm first goes slowly from wherever it stands to the first configuration.",
@@ -42,13 +45,10 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
         )
     if len(groups.external) > EXTERNAL_AXES:
         raise InputError(f"rapid: {len(groups.external)} external axes; extjoint supports at most {EXTERNAL_AXES}")
-    if not NAME.fullmatch(controller.name):
-        said = "up to 26 letters, digits and _, a letter first"
-        raise InputError(f"rapid: {controller.name!r} is not a valid procedure name; valid: {said}")
-    tool = controller.tool_name or f"tool{controller.tool}"
-    if not TOOL_NAME.fullmatch(tool):
-        said = "up to 32 letters, digits and _, a letter first"
-        raise InputError(f"rapid: program.tool_name {tool!r} is not a valid name; valid: {said}")
+    name, tool = controller.name, controller.tool_name or f"tool{controller.tool}"
+    rule, reserved = "up to {} letters, digits and _, a letter first", RAPID_WORDS | USED
+    check_name("rapid: procedure name", name, NAME, rule.format(26), reserved | {tool.lower()})
+    check_name("rapid: program.tool_name", tool, TOOL_NAME, rule.format(32), reserved)
     x = _controller_values(timed.x, controller)
     places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in x]
     sums = [f"{timed.joint_names[k]} is written as its sum with {timed.joint_names[j]}." for k, j in controller.coupled]
@@ -57,7 +57,7 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
     lines.append(f"    MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};")
     for k, (place, seconds) in enumerate(zip(places[1:], np.diff(timed.time_s).tolist(), strict=True), start=1):
         zone = "fine" if k == len(timed.x) - 1 else "z0"
-        lines.append(f"    MoveAbsJ {place}\\NoEOffs,v1000\\T:={seconds:.6f},{zone},{tool};")
+        lines.append(f"    MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
     return "\n".join([f"MODULE {controller.name}Module", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 

@@ -13,10 +13,12 @@ from jaxtyping import Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.names import URSCRIPT_WORDS, check_name
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 JOINTS = 6
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+USED = frozenset(("movej", "servoj", "stopj"))  # functions that a program calls
 LOOKAHEAD_S, GAIN = 0.1, 300  # the manual's defaults
 SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # velocity and acceleration of the move to the first configuration
 STOP_RAD_S2 = 1.0
@@ -37,10 +39,8 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
     """
     if len(timed.joint_names) != JOINTS or any(controller.slides):
         raise InputError(f"urscript: {_arm_description(controller)}; UR arms have {JOINTS} hinge joints")
-    if not NAME.fullmatch(controller.name):
-        raise InputError(
-            f"urscript: {controller.name!r} is not a valid function name; valid: letters, digits and _, a letter first"
-        )
+    rule = "letters, digits and _, a letter first"
+    check_name("urscript: function name", controller.name, NAME, rule, URSCRIPT_WORDS | USED)
     hold_s = _controller_steps(timed, controller.control_step_s) * controller.control_step_s
     configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
     lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {controller.name}():"]

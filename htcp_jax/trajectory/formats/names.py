@@ -1,0 +1,42 @@
+"""Names of programs and tools that a controller's language accepts.
+
+Sources of the lists: ABB, Technical reference manual, RAPID Overview, 3HAC050947: reserved words; Universal Robots, The
+URScript Programming Language: keywords. The syntax files rapid-for-vim and urscript-mode on GitHub have the same words.
+Other formats do not contain names, or only quoted ones, and INFORM (jbi) reserves no job names.
+"""
+
+import re
+
+from htcp_jax.errors import InputError
+
+RAPID_WORDS = frozenset(
+    "alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc endrecord "
+    "endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin not noview or "
+    "pers proc raise readonly record retry return step sysmodule task test then to trap true trynext undo var viewonly "
+    "while with xor".split()
+)
+URSCRIPT_WORDS = frozenset(
+    "and break continue def elif else end enter_critical exit_critical False global halt if join kill local not or "
+    "return run sec thread True while xor".split()
+)
+
+
+def check_name(what: str, name: str, pattern: re.Pattern, rule: str, reserved: frozenset[str] = frozenset()) -> None:
+    """Check a name in a program.
+
+    Args:
+        what: The format and the kind of name, for messages, such as "rapid: procedure name".
+        name: The name.
+        pattern: Pattern of valid names.
+        rule: The pattern as text, for messages.
+        reserved: Words of the language, and names that the program uses otherwise; if a language ignores case, in lower
+            case.
+
+    Raises:
+        InputError: If the name does not match the pattern, or is reserved.
+    """
+    if not pattern.fullmatch(name):
+        raise InputError(f"{what} {name!r} is not valid; valid: {rule}")
+    if {name, name.lower()} & reserved:
+        text = f"{what} {name!r} is a word of the language, or used in the program"
+        raise InputError(f"{text}; valid: another word of {rule}")
