@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from small_run import LONGER, TOY_TARGETS, end_early, rewrite, spoil, toy_run
+from small_run import LONGER, TOY_TARGETS, edit_manifest, end_early, rewrite, spoil, toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.runs.identity import config_hash, identity
@@ -62,12 +62,6 @@ def edit(file, change) -> None:
     raw = yaml.safe_load(file.read_text())
     change(raw)
     file.write_text(yaml.safe_dump(raw))
-
-
-def edit_manifest(run, change) -> None:
-    manifest = json.loads((run / MANIFEST).read_text())
-    change(manifest)
-    (run / MANIFEST).write_text(json.dumps(manifest))
 
 
 def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):

@@ -30,7 +30,7 @@ from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import plan_here
 from htcp_jax.runs.manifest import Manifest
-from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by
+from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by, plugins_of, plugins_of_kinds
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.shards import Shard, ShardSizes
@@ -220,6 +220,7 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
         limit=limit,
         count=len(batch.points),
         code=_code(spec, methods),
+        plugins=plugins_of(registry.METHODS, methods) | plugins_of_kinds(spec.config),
         methods=methods,
     )
 
