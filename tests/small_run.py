@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +16,7 @@ from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import duct
 from htcp_jax.motion import Problem
 from htcp_jax.planning import batch
-from htcp_jax.runs import open_run
+from htcp_jax.runs import open_run, tables
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.sweep import keep_plans, sweep
 from htcp_jax.status import Status
@@ -92,14 +92,43 @@ def end_early(folder: Path, scenario: int, target: int, status: Status, method: 
         return pa.Table.from_pylist(reported, rows.schema)
 
     rewrite(folder, method, scenario, cut)
+    recount(folder, method)
 
 
-def rewrite(folder: Path, method: str, scenario: int, change: Callable[[pa.Table], pa.Table]) -> None:
-    """Change the shard with a scenario, and make the manifest agree with the file."""
+def recount(folder: Path, method: str = METHODS[0]) -> None:
+    """Make the table of scenarios and the manifest's counts follow from a method's changed table of targets."""
+    run = open_run(folder)
+    joints = run.manifest.joints
+    expected = tables.scenario_table(method, run.points(), run.plans(method), joints, run.varied)
+    for shard in run.manifest.shards:
+        if shard.method == method:
+            rows = expected.slice(shard.first, shard.last - shard.first + 1)
+            rewrite(folder, method, shard.first, lambda _, rows=rows: rows, "scenarios")
+            edit_manifest(folder, partial(_count, shard.first, method, sum(rows["tracked"].to_pylist())))
+
+
+def _count(first: int, method: str, tracked: int, manifest: dict) -> None:
+    (shard,) = (s for s in manifest["shards"] if (s["method"], s["first"]) == (method, first))
+    shard["tracked"] = tracked
+
+
+def edit_manifest(folder: Path, change: Callable[[dict], object]) -> None:
+    """Change the manifest of a run."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    change(manifest)
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+
+
+def rewrite(
+    folder: Path, method: str, scenario: int, change: Callable[[pa.Table], pa.Table], table: str = "targets"
+) -> None:
+    """Change the shard with a scenario in one of the tables, and make the manifest agree with the file."""
     manifest = json.loads((folder / MANIFEST).read_text())
     (shard,) = (s for s in manifest["shards"] if s["method"] == method and s["first"] <= scenario <= s["last"])
-    file = folder / "targets" / f"{method}-{shard['first']:06d}-{shard['last']:06d}.parquet"
-    pq.write_table(change(pq.read_table(file)), file)
+    file = folder / table / f"{method}-{shard['first']:06d}-{shard['last']:06d}.parquet"
+    rows = change(pq.read_table(file))
+    pq.write_table(rows, file)
     data = file.read_bytes()
-    shard["targets"] |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    shard[table] |= {"rows": len(rows), "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    shard["tracked"] = min(shard["tracked"], shard["targets"]["rows"])
     (folder / MANIFEST).write_text(json.dumps(manifest))

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from small_run import LONGER, TOY_TARGETS, end_early, rewrite, spoil, toy_run
+from small_run import LONGER, TOY_TARGETS, edit_manifest, end_early, rewrite, spoil, toy_run
 
 from htcp_jax.cli import main
 from htcp_jax.runs.identity import config_hash, identity
@@ -62,12 +62,6 @@ def edit(file, change) -> None:
     raw = yaml.safe_load(file.read_text())
     change(raw)
     file.write_text(yaml.safe_dump(raw))
-
-
-def edit_manifest(run, change) -> None:
-    manifest = json.loads((run / MANIFEST).read_text())
-    change(manifest)
-    (run / MANIFEST).write_text(json.dumps(manifest))
 
 
 def test_a_run_passes_its_own_baseline_and_the_table_lines_up(run, baseline, capsys):
@@ -363,3 +357,27 @@ def test_updating_again_keeps_what_is_allowed(run, baseline):
 def test_a_baseline_reads_back_as_it_was_written(baseline):
     known = read_baseline(baseline)
     assert Baseline(**known.model_dump()) == known
+
+
+def test_shares_are_allowed_as_numbers_and_printed_by_update(run, tmp_path, capsys):
+    assert gate(run, tmp_path / "b.yaml", "--update") == PASSED
+    line = "each method may lose 1 of 32 targets (0.5 %), and 1 of 4 scenarios (4 %) may end earlier"
+    assert line in capsys.readouterr().out
+    found = read_baseline(tmp_path / "b.yaml").allow.elsewhere.in_numbers(5145, 50)
+    assert (found.targets, found.scenarios, found.more_targets) == (25, 2, None)
+
+
+def test_methods_gates_a_part_of_the_methods(run, baseline, capsys):
+    end_early(run, 2, 4, Status.QP_INFEASIBLE)
+    assert gate(run, baseline, "--methods", "cspace-sample") == PASSED
+    assert gate(run, baseline, "--methods", "cspace-sample,baseline") == REGRESSION
+    assert gate(run, baseline, "--methods", "beam") == BAD_INPUT
+    assert "the baseline has no method 'beam'; valid: baseline, cspace-sample" in capsys.readouterr().err
+
+
+def test_other_flags_and_packages_of_extensions_are_stated(run, baseline, capsys):
+    edit_manifest(run, lambda manifest: manifest["planned_by"][0].update(xla_flags="--other"))
+    edit_manifest(run, lambda manifest: manifest.update(plugins={"method mine": "mine 1.1"}))
+    verdict = outcome(run, baseline, capsys)
+    assert verdict["passed"] and verdict["elsewhere"] and "now '--other'" in verdict["notes"][0]
+    assert verdict["notes"][1] == "the method mine was of unknown in the baseline, now of mine 1.1"

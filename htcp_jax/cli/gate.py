@@ -25,6 +25,10 @@ LISTED, INDENT = 20, 12  # on the terminal: maximum number of listed scenarios, 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp sweep.")]
 File = Annotated[Path, typer.Option(metavar="FILE", help="Baseline file.")]
 Update = Annotated[bool, typer.Option("--update", help="Write RUN to FILE as the new baseline, without a comparison.")]
+Methods = Annotated[
+    str | None,
+    typer.Option("--methods", metavar="NAMES", help="Methods to compare, separated by commas; default: all."),
+]
 Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML, one test case per method and check.")
 ]
@@ -38,15 +42,17 @@ def gate(
     run: RunFolder,
     baseline: File,
     update: Update = False,
+    methods: Methods = None,
     junit_file: Junit = None,
     markdown_file: Markdown = None,
     as_json: Json = False,
 ) -> int:
     """Compare a run with a baseline, and fail if its results are worse.
 
-    Compares the number of tracked targets, scenarios that end earlier, the share of reachable targets that is tracked,
-    TCP error and clearance as measured by MuJoCo, and cycle times if the baseline contains them. Planning time is not
-    compared. Missing results count as failures. On GitHub Actions, each failing method is also annotated.
+    Compares what was planned, the number of tracked targets, scenarios that end earlier, the share of reachable targets
+    that is tracked, TCP error and clearance as measured by MuJoCo at targets and between them, and cycle times if the
+    baseline contains them. Planning time is not compared. Missing results count as failures. On GitHub Actions, each
+    failing method is also annotated.
 
     Exit codes: 0 if the run passes, 1 if not, 2 on bad input.
 
@@ -61,18 +67,22 @@ def gate(
     if update:
         if files:
             raise InputError(f"--update writes no comparison to {files[0]}; omit --update or that file")
+        if methods is not None:
+            raise InputError("--update writes all methods of the run; omit --update or --methods")
         with progress_bar("plans", time_left=True) as progress:
-            write_baseline(open_run(run), baseline, progress)
-        print_json({"baseline": str(baseline)}) if as_json else print(f"{run} is the baseline now: {baseline}")
+            written = write_baseline(open_run(run), baseline, progress)
+        print_json({"baseline": str(baseline)}) if as_json else _print_update(run, baseline, written)
         return PASSED
     known = read_baseline(baseline)
+    if methods is not None:
+        known = known.only(tuple(dict.fromkeys(name.strip() for name in methods.split(","))))
     taken = [*map(os.path.realpath, (baseline, *files))]
     if twice := [file for file, place in zip(files, taken[1:], strict=True) if taken.count(place) > 1]:
         raise InputError(f"{twice[-1]} is named twice; --baseline, --junit and --markdown must be different files")
     with ExitStack() as reserved:
         for file in files:
             reserved.enter_context(output_files.writable_file(file))
-        verdict = _compare_with(run, known)
+        verdict = _compare_with(run, known, only_known=methods is not None)
         if junit_file:
             output_files.write_text(junit_file, gates.junit(verdict))
         if markdown_file:
@@ -84,9 +94,26 @@ def gate(
     return PASSED if verdict.passed else REGRESSION
 
 
-def _compare_with(folder: Path, baseline: Baseline) -> regression.GateVerdict:
+def _print_update(run: Path, file: Path, written: Baseline) -> None:
+    allow, given = written.allowance(elsewhere=True), written.allow.elsewhere
+    first = next(iter(written.methods.values()))
+    of_all = [
+        f"{number:,} of {labels.counted(total, noun)}{f' ({share})' if isinstance(share, str) else ''}"
+        for number, total, noun, share in (
+            (allow.targets, first.targets, "target", given.targets),
+            (allow.scenarios, len(first.scenarios), "scenario", given.scenarios),
+        )
+    ]
+    print(f"{run} is the baseline now: {file}")
+    print(
+        f"on another device or with other versions, each method may lose {of_all[0]}, and {of_all[1]} may end earlier"
+    )
+
+
+def _compare_with(folder: Path, baseline: Baseline, only_known: bool) -> regression.GateVerdict:
     try:
         run = open_run(folder)
+        run = run.only(baseline.methods) if only_known else run
     except InputError as error:
         if not (folder / manifest.MANIFEST).exists():
             raise
@@ -122,7 +149,9 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     if (more := len(verdict.changed) - LISTED) > 0:
         console.print(f"and {labels.counted(more, 'scenario')} more that changed")
     if verdict.elsewhere:
-        console.print(Text("Device or versions differ from the baseline's: allow.elsewhere applies.", "dim"))
+        console.print(Text("Device, versions or XLA_FLAGS differ from the baseline's: allow.elsewhere applies.", "dim"))
+    for line in verdict.notes:
+        console.print(Text.assemble(("differs  ", "yellow"), line))
     for line in verdict.improvements:
         console.print(Text.assemble(("better  ", "green"), line))
     for line in verdict.failures[:LISTED]:

@@ -78,6 +78,7 @@ def _properties(verdict: gate.GateVerdict) -> Iterator[tuple[str, str]]:
         yield f"{name}.device", str(origin.device)
         for package, version in origin.versions.items():
             yield f"{name}.{package}", version or "unknown"
+        yield f"{name}.XLA_FLAGS", origin.xla_flags or "unknown"
 
 
 def named_origins(verdict: gate.GateVerdict) -> list[tuple[str, gate.Origin]]:
@@ -94,12 +95,12 @@ def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
     yield Heading(2, f"htcp gate: {escaped(verdict.sweep)} {'passed' if verdict.passed else 'FAILED'}")
     yield "\n".join(f"- {name}: {escaped(str(origin))}" for name, origin in named_origins(verdict))
     if verdict.elsewhere:
-        yield "The device or the versions differ from the baseline's, so the limits in `allow.elsewhere` apply."
+        yield "Device, versions or XLA_FLAGS differ from the baseline's, so the limits in `allow.elsewhere` apply."
     counts = [row._asdict() | {"difference": _difference(row.was_tracked, row.tracked)} for row in verdict.rows]
     yield Table.of("counts", (*TRACKED, "difference", *COUNTS[len(TRACKED) :]), counts, "Tracked targets")
     if differing := [each for row in verdict.rows for each in _shown_differences(row)]:
         yield Table.of("figures", DIFFERENCES, differing, "Other figures that changed")
-    for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements)):
+    for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements), ("Differs", verdict.notes)):
         if lines:
             yield f"**{title}**"
             yield "\n".join(f"- {escaped(line)}" for line in lines[:LISTED])

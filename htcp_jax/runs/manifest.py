@@ -69,8 +69,9 @@ class Manifest(strict_model.FileSection):
     shard_scenarios: Annotated[int | None, Field(exclude=True)] = None  # without effect; written by older versions
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method
-    planned_by: tuple[dict[str, Any], ...] = ()  # provenance of shards: commit, versions, device
+    planned_by: tuple[dict[str, Any], ...] = ()  # provenance of shards: commit, versions, device, XLA_FLAGS
     code: dict[str, str] = Field(default_factory=dict)  # SHA-256 of methods and kinds of other packages
+    plugins: dict[str, str] = Field(default_factory=dict)  # distribution and version of these packages
     shards: tuple[ShardRecord, ...] = ()
 
     @model_validator(mode="after")

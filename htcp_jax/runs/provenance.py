@@ -50,8 +50,8 @@ def _version(package: str) -> str | None:
 
 
 def planned_by() -> dict:
-    """Return the versions, device, float type and commit of this process, as recorded with its results."""
-    return provenance() | {"commit": commit()}
+    """Return the versions, device, float type, commit and XLA's flags of this process, as recorded with its results."""
+    return provenance() | {"commit": commit(), "xla_flags": os.environ.get("XLA_FLAGS", "")}
 
 
 @functools.cache  # the running code does not change if another commit is checked out later
@@ -97,6 +97,23 @@ def code_of_kinds(config: PlanConfig) -> dict[str, str]:
     """Return `code_of` the obstacles and task rows in a configuration that other packages define."""
     obstacles = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in config.cell.obstacles))
     return obstacles | code_of(TASK_ROWS, (row.name for row in config.task))
+
+
+def plugins_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
+    """Return distribution and version, such as "my-package 1.2.0", of installed extensions, by "noun name".
+
+    Args:
+        added: The registry of the extensions.
+        names: Names of extensions; built-in ones, and those registered in this process only, are ignored.
+    """
+    found = {f"{added.noun} {name}": added.distribution(name) for name in names}
+    return {name: version for name, version in found.items() if version}
+
+
+def plugins_of_kinds(config: PlanConfig) -> dict[str, str]:
+    """Return `plugins_of` the obstacles and task rows in a configuration."""
+    obstacles = plugins_of(obstacle_kind.OBSTACLES, (kind.name for kind in config.cell.obstacles))
+    return obstacles | plugins_of(TASK_ROWS, (row.name for row in config.task))
 
 
 def _source_files(value: Any) -> list[Path]:

@@ -12,7 +12,7 @@ either complete or not part of the run.
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from io import BufferedReader
 from itertools import islice
 from pathlib import Path
@@ -92,6 +92,12 @@ class Run:
         if table not in TABLES:
             raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
         return table_frame(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
+
+    def only(self, methods: Collection[str]) -> "Run":
+        """Return the run of some of its methods; names of other methods are ignored."""
+        shards = tuple(shard for shard in self.manifest.shards if shard.method in methods)
+        kept = {"methods": tuple(name for name in self.methods if name in methods), "shards": shards}
+        return Run(self.folder, self.manifest.model_copy(update=kept), self._keep)
 
     @property
     def methods(self) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import plan_here
 from htcp_jax.runs.manifest import MANIFEST, Manifest
 from htcp_jax.runs.plan_folder import SUMMARY
-from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by
+from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by, plugins_of, plugins_of_kinds
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.shards import Shard, ShardSizes
@@ -221,6 +221,7 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
         limit=limit,
         count=len(batch.points),
         code=_code(spec, methods),
+        plugins=plugins_of(registry.METHODS, methods) | plugins_of_kinds(spec.config),
         methods=methods,
     )
 

@@ -58,6 +58,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by")}
     methods = tuple(dict.fromkeys((*old.methods, *requested.methods)))
     kept |= {"methods": methods, "code": old.manifest.code | requested.code}
+    kept |= {"plugins": old.manifest.plugins | requested.plugins}
     run = Run(folder, requested.model_copy(update=kept), keep)
     shards = _valid_shards(run, requested.methods)
     for file in _unlisted(folder, {shard_name(shard.method, Span(shard.first, shard.last)) for shard in shards}):

@@ -111,6 +111,16 @@ class Registry:
         """True if the extension is not built in: it is from an installed package or registered in this process."""
         return name not in self._built_in and (name in self._own or name in self._entry_points)
 
+    def distribution(self, name: str) -> str | None:
+        """Return the distribution with its version that provides an extension, such as "my-package 1.2.0".
+
+        None for extensions that are built in or registered in this process.
+        """
+        if self.is_own(name) or name not in self._entry_points:
+            return None
+        point = self._entry_points[name]
+        return _package(point) if point.dist is None else f"{point.dist.name} {point.dist.version}"
+
     @cached_property
     def _entry_points(self) -> dict[str, EntryPoint]:
         """Entry points of installed packages, by name.

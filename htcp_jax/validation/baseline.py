@@ -11,8 +11,10 @@ nspace-sqp:                 # under `methods`
     only (`validate`), so that a wrong formula in the planner cannot confirm itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -27,16 +29,20 @@ from htcp_jax.runs import manifest as manifests
 from htcp_jax.spec import read_yaml, strict_model
 from htcp_jax.status import Status
 from htcp_jax.system import output_files
+from htcp_jax.validation import run_records
 from htcp_jax.validation.result import MethodCheck, Refutation
 from htcp_jax.validation.validate import validate_results as check_by_mujoco
 
 COMPLETE = "complete"
 DIGITS = 6  # decimals of millimetres in the file
+BETWEEN, STEP_RAD = 2, 0.01  # minimum number of steps on a joint path between targets, and largest joint step
 HEAD = """# Baseline of a run, with which `htcp gate` compares later runs. Written by --update; edit only `allow`.
 """
 
 WholeNumber = Annotated[int, Field(ge=0)]
 Millimetres = Annotated[float, Field(ge=0)]
+Amount = WholeNumber | Annotated[str, Field(pattern=r"^\d{1,2}(\.\d+)? ?%$")]  # a number, or a share such as "0.5 %"
+SHARE_ROUNDING = 1e-9  # 4 % of 25 is 1
 
 
 class End(NamedTuple):
@@ -117,12 +123,28 @@ class ReachabilityScores(strict_model.FileSection):
 class Allowance(strict_model.FileSection):
     """Largest differences from the baseline with which a method passes."""
 
-    targets: WholeNumber = 0  # decrease of the total number of tracked targets
-    more_targets: WholeNumber | None = None  # increase of this number; None: any increase passes
-    scenarios: WholeNumber = 0  # number of scenarios that end earlier
+    targets: Amount = 0  # decrease of the total number of tracked targets
+    more_targets: Amount | None = None  # increase of this number; None: any increase passes
+    scenarios: Amount = 0  # number of scenarios that end earlier
     cycle_time_percent: Annotated[float, Field(ge=0)] = 1.0  # increase of a scenario's cycle time [%]
     tcp_error_mm: Millimetres = 0.05
     clearance_mm: Millimetres = 0.05
+
+    def in_numbers(self, targets: int, scenarios: int) -> "Allowance":
+        """Return the allowance with numbers in place of shares, which are rounded down, to at least 1.
+
+        Args:
+            targets: Number of a method's targets.
+            scenarios: Number of scenarios.
+        """
+        of = {"targets": targets, "more_targets": targets, "scenarios": scenarios}
+        given = {name: (getattr(self, name), total) for name, total in of.items()}
+        shares = {name: (float(value[:-1]), total) for name, (value, total) in given.items() if isinstance(value, str)}
+        return self.model_copy(
+            update={
+                name: max(1, int(percent * total / 100 + SHARE_ROUNDING)) for name, (percent, total) in shares.items()
+            }
+        )
 
 
 class Allowances(strict_model.FileSection):
@@ -134,7 +156,7 @@ class Allowances(strict_model.FileSection):
     """
 
     here: Allowance = Allowance()
-    elsewhere: Allowance = Allowance(targets=25, scenarios=2)
+    elsewhere: Allowance = Allowance(targets="0.5 %", scenarios="4 %")
 
 
 class Baseline(strict_model.FileSection):
@@ -149,6 +171,10 @@ class Baseline(strict_model.FileSection):
     config_hash: str
     allow: Allowances = Allowances()
     versions: dict[str, str | None]
+    xla_flags: str | None = None  # None: unknown, as in baselines of older versions
+    plugins: dict[str, str] = Field(
+        default_factory=dict
+    )  # distribution and version of methods and kinds of other packages, by their names
     reachability: ReachabilityScores | None
     planned: dict[str, Any]  # configuration and grid of the run, see the function `planned`
     methods: dict[manifests.MethodName, Scores] = Field(min_length=1)
@@ -161,11 +187,37 @@ class Baseline(strict_model.FileSection):
 
     @model_validator(mode="after")
     def _is_complete(self) -> "Baseline":
-        count = len(next(iter(self.methods.values())).scenarios)
+        first = next(iter(self.methods.values()))
+        count = len(first.scenarios)
         for method, scores in self.methods.items():
             if sorted(scores.scenarios) != list(range(count)):
                 raise ValueError(f"{method} must have the scenarios 0 to {count - 1}, like the first method")
+            if scores.targets != first.targets:
+                raise ValueError(f"{method} must have {first.targets} targets, like the first method")
         return self
+
+    @model_validator(mode="after")
+    def _states_what_is_planned(self) -> "Baseline":
+        settings = self.planned.get("settings")
+        if self.dtype != self.planned.get("dtype") or self.seed != (settings or {}).get("seed"):
+            raise ValueError("seed or dtype does not match `planned`")
+        return self
+
+    def allowance(self, elsewhere: bool) -> Allowance:
+        """Return the allowance in numbers, for this baseline's machine or for another one."""
+        first = next(iter(self.methods.values()))
+        chosen = self.allow.elsewhere if elsewhere else self.allow.here
+        return chosen.in_numbers(first.targets, len(first.scenarios))
+
+    def only(self, methods: Collection[str]) -> "Baseline":
+        """Return the baseline of some of its methods.
+
+        Raises:
+            InputError: If it lacks one of them.
+        """
+        if unknown := [name for name in methods if name not in self.methods]:
+            raise InputError(f"the baseline has no method {unknown[0]!r}; valid: {', '.join(self.methods)}")
+        return self.model_copy(update={"methods": {name: self.methods[name] for name in methods}})
 
 
 class RunSummary(NamedTuple):
@@ -176,6 +228,9 @@ class RunSummary(NamedTuple):
     refuted: tuple[Refutation, ...]
     reachability: ReachabilityScores | None
     problems: tuple[str, ...]
+    other_scenarios: Mapping[str, tuple[str, ...]] = MappingProxyType(
+        {}
+    )  # faults of a method's records, see `run_records`
 
 
 def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) -> RunSummary:
@@ -196,13 +251,17 @@ def summarise_run(run: Run, progress: Callable[[int, int], None] | None = None) 
             problems.append(f"{what}: {error}" if isinstance(error, InputError) else f"{what}: {error!r}")
         return None
 
-    found = attempt("not validated", lambda: check_by_mujoco(run.folder, between=0, progress=progress))
+    validated = partial(check_by_mujoco, run, between=BETWEEN, step_rad=STEP_RAD, only_claimed=True, progress=progress)
+    found = attempt("not validated", validated)
     checks = found.methods if found else {}
     methods = {method: attempt(method, lambda m=method: _scores(run, m, checks.get(m))) for method in run.methods}
     reachability = attempt("reachability is not known", lambda: _reachability_scores(run))
+    problems += attempt("manifest", lambda: run_records.manifest_faults(run)) or ()
+    methods = {method: scores for method, scores in methods.items() if scores}
+    faults = {m: attempt(m, lambda m=m: tuple(run_records.scenario_faults(run, m))) for m in methods}
     refuted = found.refuted if found else ()
     return RunSummary(
-        {m: scores for m, scores in methods.items() if scores}, checks, refuted, reachability, tuple(problems)
+        methods, checks, refuted, reachability, tuple(problems), {m: lines for m, lines in faults.items() if lines}
     )
 
 
@@ -232,11 +291,12 @@ def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] |
     if reason := _reason_not_to_update(run, old):
         raise InputError(f"{run.folder} is not taken as the baseline: {reason}")
     found = summarise_run(run, progress)
-    if found.problems or found.refuted:
-        refuted = f"{labels.counted(len(found.refuted), 'tracked target')} refuted by MuJoCo"
-        raise InputError(
-            f"{run.folder} is not taken as the baseline: {found.problems[0] if found.problems else refuted}"
-        )
+    refuted = len({(one.method, one.scenario, one.target) for one in found.refuted})
+    faults = [*found.problems]
+    faults += [f"{labels.counted(refuted, 'tracked target')} refuted by MuJoCo"] if refuted else []
+    faults += [line for lines in found.other_scenarios.values() for line in lines]
+    if faults:
+        raise InputError(f"{run.folder} is not taken as the baseline: {faults[0]}")
     manifest, (origin,) = run.manifest, run.manifest.planned_by
     updated = Baseline(
         sweep=manifest.name,
@@ -247,6 +307,8 @@ def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] |
         config_hash=manifest.config_hash,
         allow=old.allow if old else Allowances(),
         versions=origin["versions"],
+        xla_flags=origin.get("xla_flags"),
+        plugins=manifest.plugins,
         reachability=found.reachability,
         planned=planned(manifest),
         methods=found.methods,

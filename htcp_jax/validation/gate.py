@@ -2,11 +2,13 @@
 
 A method fails if
 
+- its rows are of other scenarios than the manifest's grid, or contradict each other or the manifest;
 - its number of tracked or executable targets decreases, or its number of scenarios that end earlier increases, by more
   than the baseline's `allow` permits;
 - it tracks more targets in total than `allow.more_targets` permits, a limit for results that must be reproduced;
 - it tracks a smaller share of the reachable targets;
-- MuJoCo refutes a tracked target: the TCP error is above the tolerance, the arm collides, or a saved value is wrong;
+- MuJoCo refutes a tracked target: the TCP error is above the tolerance, the arm collides at the target or at samples of
+  the motion to it, or a saved value is wrong;
 - the baseline has times and, in the run, fewer scenarios hold the feed, fewer have a time, more take longer than
   allowed, or the feed rate or the limits differ;
 - its largest TCP error or its minimum clearance is worse than in the baseline by more than allowed;
@@ -43,11 +45,12 @@ SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE
 
 
 class Origin(NamedTuple):
-    """Commit, device and package versions with which a run was planned."""
+    """Commit, device, package versions and XLA's flags with which a run was planned."""
 
     commit: str | None
     device: str | None
     versions: dict[str, str | None]
+    xla_flags: str | None = None  # None: unknown
 
     def __str__(self) -> str:
         commit, sign, changes = (self.commit or "unknown").partition("+")
@@ -129,13 +132,14 @@ class GateVerdict(NamedTuple):
     sweep: str
     baseline: Origin
     run: tuple[Origin, ...]  # one for each part in which the run was planned
-    elsewhere: bool  # True if the run's device or versions differ from the baseline's
-    allow: Allowance
+    elsewhere: bool  # True if the run's device, versions or XLA_FLAGS differ from the baseline's
+    allow: Allowance  # in numbers
     rows: tuple[GateRow, ...]
     checks: tuple[GateCheck, ...]
     changed: tuple[ChangedOutcome, ...]  # worse outcomes first
     failures: tuple[str, ...]
     improvements: tuple[str, ...]  # sentences on better or new results, which pass
+    notes: tuple[str, ...] = ()  # sentences on other XLA_FLAGS and other packages of methods and kinds
 
 
 def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> GateVerdict:
@@ -149,17 +153,22 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
     Raises:
         InputError: If the baseline belongs to another sweep or configuration.
     """
-    if differing := identity.identity_differences(baseline.planned, planned(run.manifest)):
+    differing = identity.identity_differences(baseline.planned, planned(run.manifest))
+    if run.manifest.name != baseline.sweep:
+        differing.append(f"the sweep was {baseline.sweep}, now {run.manifest.name}")
+    if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(
             f"{run.folder} was planned with another job than the baseline: {differing[0]}{more}; "
             "if that is intended, write a new baseline with --update"
         )
     found = summarise_run(run, progress)
-    verdict = _compare(baseline, found, tuple(map(_origin, run.manifest.planned_by)))
+    used = sorted({shard.planned_by for shard in run.manifest.shards})
+    verdict = _compare(baseline, found, tuple(_origin(run.manifest.planned_by[k]) for k in used))
     labels = run.labels() if verdict.changed else {}
     changed = (one._replace(label=run_labels.named_scenario(one.scenario, labels)) for one in verdict.changed)
-    return verdict._replace(sweep=run.manifest.name, changed=tuple(changed))
+    notes = _other_software(baseline, verdict.run, run.manifest.plugins)
+    return verdict._replace(changed=tuple(changed), notes=notes)
 
 
 def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
@@ -168,9 +177,9 @@ def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
 
 
 def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> GateVerdict:
-    was = Origin(baseline.commit, baseline.device, baseline.versions)
-    elsewhere = any(_machine(one) != _machine(was) for one in run)
-    allow = baseline.allow.elsewhere if elsewhere else baseline.allow.here
+    was = Origin(baseline.commit, baseline.device, baseline.versions, baseline.xla_flags)
+    elsewhere = any(_machine(one) != _machine(was) or _other_flags(was, one) for one in run)
+    allow = baseline.allowance(elsewhere)
     checks, rows, changed = [GateCheck(RUN, "files", found.problems)], [], []
     for method, scores in baseline.methods.items():
         own = [] if (now := found.methods.get(method)) is None else _changed(method, scores, now)
@@ -193,11 +202,26 @@ def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> 
 
 
 def _origin(planned_by: dict) -> Origin:
-    return Origin(planned_by.get("commit"), planned_by.get("device"), planned_by.get("versions") or {})
+    commit, device, flags = (planned_by.get(name) for name in ("commit", "device", "xla_flags"))
+    return Origin(commit, device, planned_by.get("versions") or {}, flags)
 
 
 def _machine(origin: Origin) -> tuple:
     return origin.device, {name: version for name, version in origin.versions.items() if name != "htcp_jax"}
+
+
+def _other_flags(was: Origin, now: Origin) -> bool:
+    return None not in (was.xla_flags, now.xla_flags) and was.xla_flags != now.xla_flags
+
+
+def _other_software(baseline: Baseline, run: tuple[Origin, ...], plugins: dict[str, str]) -> tuple[str, ...]:
+    """Return sentences on XLA_FLAGS and on packages of methods and kinds that differ from the baseline's."""
+    was = Origin(baseline.commit, baseline.device, baseline.versions, baseline.xla_flags)
+    flags = dict.fromkeys(one.xla_flags for one in run if _other_flags(was, one))
+    notes = [f"XLA_FLAGS was {was.xla_flags!r} in the baseline, now {own!r}" for own in flags]
+    names = [name for name in baseline.plugins | plugins if baseline.plugins.get(name) != plugins.get(name)]
+    versions = [(name, *(of.get(name, "unknown") for of in (baseline.plugins, plugins))) for name in names]
+    return *notes, *(f"the {name} was of {before} in the baseline, now of {now}" for name, before, now in versions)
 
 
 def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:
@@ -221,10 +245,13 @@ def _lines(
     if now is None:
         return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
     lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
-    if lost := [number for number in was.scenarios if number not in now.scenarios]:
-        lines[SCENARIOS] = [
-            f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, the first is {lost[0]}"
-        ]
+    others, lost = list(found.other_scenarios.get(method, ())), [n for n in was.scenarios if n not in now.scenarios]
+    if lost:
+        missing = f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, the first is {lost[0]}"
+        others = [missing, *others]
+    elif now.targets != was.targets:
+        others += [f"other scenarios: they have {now.targets:,} targets, {was.targets:,} in the baseline"]
+    lines[SCENARIOS] = others
     counts = ((TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable))
     for name, before, after in counts:
         if (fewer := before - after) > allow.targets:
@@ -242,6 +269,7 @@ def _lines(
         lines[SHARE] = [f"{share:.2f} % of the reachable targets are tracked, {was_share:.2f} % in the baseline"]
     if refuted := [one for one in found.refuted if one.method == method]:
         first = f"the first in scenario {refuted[0].scenario} at target {refuted[0].target}: {refuted[0].reason}"
+        refuted = {(one.scenario, one.target) for one in refuted}  # a target may be refuted for several reasons
         lines[MUJOCO] = [f"{run_labels.counted(len(refuted), 'tracked target')} refuted by MuJoCo, {first}"]
     lines[TIMES] = None if was.times is None else _times_broken(was.times, now.times, allow)
     bounds = (

@@ -9,22 +9,22 @@ import numpy as np
 from htcp_jax.jobs import build
 from htcp_jax.model import Workpiece
 from htcp_jax.motion import Plans
-from htcp_jax.runs import PlanSet, open_plans
+from htcp_jax.runs import PlanSet, Run, open, open_plans
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import config as configs
-from htcp_jax.status import MOTION
+from htcp_jax.status import MOTION, SegmentStatus
 from htcp_jax.validation.scene_rules import Results, Track, WorkpieceData
 
 MOST_WORKPIECES = 8  # maximum number of workpieces in memory
 
 
-def read_results(folder: Path) -> Results:
-    """Read the results in the folder of a run or a plan.
+def read_results(source: Path | Run) -> Results:
+    """Read the results of a run, or in the folder of a run or a plan.
 
     Raises:
         InputError: If the folder contains no plans, or if a file is missing or damaged.
     """
-    found = open_plans(folder)
+    found = open.plans_of_run(source) if isinstance(source, Run) else open_plans(source)
     return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
 
 
@@ -38,8 +38,11 @@ def _tracks(found: PlanSet) -> Iterator[Track]:
 
 def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
     there = plans.exists[number]
-    flags = plans.tracked, plans.path_clear == 0, np.isin(plans.segment_status, MOTION)
-    columns = plans.x, plans.tcp, plans.target, plans.clearance
+    proven, has_via_points = np.isin(plans.segment_status, MOTION), np.zeros(plans.exists.shape, bool)
+    has_via_points[plans.via_points.scenario, plans.via_points.target] = True
+    claimed = proven | (has_via_points & (plans.segment_status == SegmentStatus.NOT_CHECKED))
+    flags = plans.tracked, plans.path_clear == 0, proven, claimed
+    columns = plans.x, plans.tcp, plans.target, plans.clearance, plans.segment_clearance
     return Track(
         method,
         number,

@@ -33,12 +33,14 @@ class Track(NamedTuple):
     tracked: Bool[np.ndarray, "T"]
     blocked: Bool[np.ndarray, "T"]  # True if the joint path from the previous target is saved as blocked
     proven: Bool[np.ndarray, "T"]  # True if the segment from the previous target is saved as a proven motion
+    claimed: Bool[np.ndarray, "T"]  # True also for segments with via points that are saved as not checked
     via_points: tuple[Float[np.ndarray, "k N"], ...]  # via points of each segment [rad or m]
     via_shares: tuple[Float[np.ndarray, "k"], ...]  # positions of the via points as shares of the segment's length [1]
     x: Float[np.ndarray, "T N"]
     tcp: Float[np.ndarray, "T 3"]
     target: Float[np.ndarray, "T 3"]
     clearance: Float[np.ndarray, "T"]
+    segment_clearance: Float[np.ndarray, "T"]  # saved lower bound along the segment from the previous target [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,6 +71,8 @@ def check(
     surroundings: MujocoCell | None,
     track: Track,
     between: int,
+    only_claimed: bool = False,
+    step_rad: float = STEP_RAD,
     progress: Callable[[float], None] = lambda share: None,
 ) -> TrackCheck:
     """Return the check of a track at its targets and along its joint paths.
@@ -82,6 +84,8 @@ def check(
         surroundings: Obstacles other than the workpiece; None if there are none.
         track: The track.
         between: Minimum number of steps per joint path; 0: joint paths are not checked.
+        only_claimed: True to sample only the segments that are `Track.claimed`.
+        step_rad: Maximum joint step between two samples [rad or m].
         progress: Function that is called with the share of the samples on joint paths that is checked, below 1.
 
     Raises:
@@ -114,11 +118,14 @@ def check(
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to the first target begins at home
-    between_rows = _check_paths(scene, at, paths, between, on_path, progress)
+    sampled = track.claimed[paths.target] if only_claimed else np.ones(len(paths.target), bool)
+    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, on_path, progress)
     on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
     reasons = (
         *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
+        *_on_start(arm, track, at.clearance[0]),
+        *_on_via_points(arm, track, paths),
         *_on_segments(track, paths, between_rows),
         *_on_joint_steps(arm, track, paths, on_path),
         *_on_rows(rows_hold, on),
@@ -251,8 +258,7 @@ def _failure_reasons(
         reasons.append(f"the TCP is {1e3 * found['tcp_error']:.3f} mm from its target")
     if not found["clearance"] > -ROUNDING_M:
         reasons.append(f"the arm is in collision: clearance {1e3 * found['clearance']:.3f} mm")
-    beyond = ~((x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M))
-    reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in np.flatnonzero(beyond)]
+    reasons += [f"{arm.joints[j]} is outside its limits at {x[j]:.6g}" for j in _beyond_limits(arm, x[None])]
     if found["through"]:
         reasons.append("the tool's tip passes through the wall")
     if not found["clearance_off"] <= record_m:
@@ -280,6 +286,32 @@ def _paths(track: Track, rows: np.ndarray, targets: np.ndarray, t: np.ndarray) -
     return JointPaths(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
+def _beyond_limits(arm: MujocoArm, x: np.ndarray) -> np.ndarray:
+    """Return the indices of the joints that are outside their limits in one of the configurations x (n, N)."""
+    within = (x >= arm.lower - ROUNDING_M) & (x <= arm.upper + ROUNDING_M)
+    return np.flatnonzero(~within.all(axis=0))
+
+
+def _on_start(arm: MujocoArm, track: Track, clearance: float) -> Iterator[tuple[int, str]]:
+    """Yield target 0 if it is tracked, but the start is outside the joint limits or collides."""
+    if not track.tracked[:1].any():
+        return
+    for j in _beyond_limits(arm, track.start[None])[:1].tolist():
+        yield 0, f"{arm.joints[j]} is outside its limits at the start"
+    if not clearance > -ROUNDING_M:
+        yield 0, f"the start is in collision: clearance {1e3 * clearance:.3f} mm"
+
+
+def _on_via_points(arm: MujocoArm, track: Track, paths: JointPaths) -> Iterator[tuple[int, str]]:
+    """Yield the targets of segments with a via point outside the joint limits, or with via points that go back."""
+    for target in np.unique(paths.target).tolist():
+        x, share = track.via_points[target], np.concatenate([[0.0], track.via_shares[target], [1.0]])
+        for j in _beyond_limits(arm, x)[:1].tolist():
+            yield target, f"{arm.joints[j]} is outside its limits at a via point"
+        if not (np.diff(share) >= 0).all():
+            yield target, "the shares of its via points do not increase from 0 to 1"
+
+
 def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[tuple[int, str]]:
     """Return the targets of segments that are saved as proven motions, but collide or leave the path."""
     if found["touches"] is None:
@@ -287,8 +319,13 @@ def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
     away = holds_tcp(track.config.task) & proven & ~(found["deviation"] <= settings.tube_m + ROUNDING_M)
-    for k in np.flatnonzero(proven & found["touches"]).tolist():
-        reasons.setdefault(int(paths.target[k]), "the segment is recorded as valid, but collides")
+    for k in np.flatnonzero(track.claimed[paths.target] & found["touches"]).tolist():
+        what = "is recorded as valid" if proven[k] else "has via points"
+        reasons.setdefault(int(paths.target[k]), f"the segment {what}, but collides")
+    guaranteed = track.segment_clearance[paths.target]
+    for k in np.flatnonzero(proven & ~(found["clearance_between"] >= guaranteed - RECORD_M)).tolist():
+        short = f"{1e3 * found['clearance_between'][k]:.3f} mm on the segment, {1e3 * guaranteed[k]:.3f} mm"
+        reasons.setdefault(int(paths.target[k]), f"the clearance is {short} are recorded as guaranteed")
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but leaves its path by {off}")
@@ -313,11 +350,13 @@ def _check_paths(
     scene: CheckedScene,
     at: TargetClearances,
     paths: JointPaths,
+    sampled: Bool[np.ndarray, "m"],
     between: int,
+    step_rad: float,
     on_path: int,
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
-    """Return collision, minimum clearance and path deviation of each joint path, as fields of `TrackCheck`.
+    """Return collision, minimum clearance and path deviation of each sampled joint path, as fields of `TrackCheck`.
 
     A clearance is inf if it is larger than at all targets. The path deviation is the TCP's distance from its line; it
     is 0 up to the path's first point, target `on_path`, because the approach may deviate.
@@ -326,7 +365,10 @@ def _check_paths(
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
     least, deviation = np.full(count, np.inf), np.zeros(count)
-    every_path, every_x = samples_between(paths.a, paths.b, between)
+    every_path, every_x = samples_between(paths.a[sampled], paths.b[sampled], between, step_rad)
+    via = np.flatnonzero(sampled & np.append(np.diff(paths.target) == 0, np.zeros(min(count, 1), bool)))
+    every_path = np.concatenate([np.flatnonzero(sampled)[every_path], via])
+    every_x = np.concatenate([every_x, paths.b[via]])
     for first in range(0, len(every_path), SAMPLES):
         progress(first / len(every_path))
         path, x = every_path[first : first + SAMPLES], every_x[first : first + SAMPLES]
@@ -340,21 +382,22 @@ def _check_paths(
 
 
 def samples_between(
-    a: Float[np.ndarray, "m N"], b: Float[np.ndarray, "m N"], between: int
+    a: Float[np.ndarray, "m N"], b: Float[np.ndarray, "m N"], between: int, step_rad: float = STEP_RAD
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
-    """Return samples inside straight joint paths; no joint moves by more than STEP_RAD per step.
+    """Return samples inside straight joint paths; no joint moves by more than `step_rad` per step.
 
     Args:
         a: Starts of the paths [rad or m].
         b: Ends of the paths [rad or m].
         between: Minimum number of steps on a path with different ends.
+        step_rad: Maximum joint step [rad or m].
 
     Returns:
         For every sample, the index of its path, and its configuration.
     """
     move = b - a
     furthest = abs(move).max(axis=1, initial=0.0)
-    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / STEP_RAD)), 1).astype(int)
+    steps = np.where(furthest > 0, np.maximum(between, np.ceil(furthest / step_rad)), 1).astype(int)
     path, fraction = _sampled_fractions(steps)
     return path, a[path] + fraction[:, None] * move[path]
 

@@ -25,14 +25,14 @@ import scipy
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
-from htcp_jax.runs import plan_folder
+from htcp_jax.runs import Run, plan_folder
 from htcp_jax.spec import config, model_source
 from htcp_jax.system import files, output_files
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import read_results
-from htcp_jax.validation.result import MethodCheck, RowDeviation, TargetPlace, Validation
+from htcp_jax.validation.result import STEP_RAD, MethodCheck, RowDeviation, TargetPlace, Validation
 from htcp_jax.validation.scene_rules import Results, Track
 from htcp_jax.validation.track import TrackCheck, check
 
@@ -41,18 +41,22 @@ MOST_BETWEEN = 10_000  # maximum number of steps between two targets, limited by
 
 
 def validate_results(
-    folder: str | Path,
+    source: str | Path | Run,
     *,
     between: int = 20,
+    only_claimed: bool = False,
+    step_rad: float = STEP_RAD,
     feed_mm_s: float = 10.0,
     progress: Callable[[float, int], None] | None = None,
 ) -> Validation:
-    """Validate the results in the folder of a run or a plan.
+    """Validate the results of a run, or in the folder of a run or a plan.
 
     Args:
-        folder: The folder of the run or the plan.
+        source: The run, or the folder of the run or the plan.
         between: Minimum number of steps per joint path; a longer path has more, so that no joint moves by more than
-            `STEP_RAD` per step. 0: only the targets are checked.
+            `step_rad` per step. 0: only the targets are checked.
+        only_claimed: True to sample only segments that are saved as motions or have via points; others are not counted.
+        step_rad: Maximum joint step [rad or m].
         feed_mm_s: Feed rate of the TCP on the path [mm/s], for the joint speeds.
         progress: Function that is called with the number of checked tracks and of all tracks. The current one counts as
             the share of its samples that are checked.
@@ -65,13 +69,13 @@ def validate_results(
     if not 0 < feed_mm_s < np.inf:
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
-    results = read_results(Path(folder))
+    results = read_results(source if isinstance(source, Run) else Path(source))
     parts, joints = LoadedParts(results), ()
     checked, report = [], progress or (lambda checked, count: None)
     for track in results.tracks:
         arm, wall, surroundings = parts.of(track)
         joints, done = joints or arm.joints, len(checked)
-        given = results, arm, wall, surroundings, track, between
+        given = results, arm, wall, surroundings, track, between, only_claimed, step_rad
         checked.append(check(*given, lambda share, done=done: report(done + share, results.count)))
         report(len(checked), results.count)
     methods = {
