@@ -452,7 +452,8 @@ def attacked(cell: Cell, chain: Chain, target: int, starts: np.ndarray) -> dict[
             if distance > best[0]:
                 best = distance, names, q
     counter = best[2].tolist() if free else None
-    return {"on_target": len(on_target), "free": free, "best_m": best[0], "nearest": best[1], "q": counter}
+    best_m = best[0] if best[1] else None
+    return {"on_target": len(on_target), "free": free, "best_m": best_m, "nearest": best[1], "q": counter}
 
 
 def checked_motion(cell: Cell, plan: Path, chain: Chain) -> dict[str, Any]:
@@ -496,7 +497,8 @@ def checked_motion(cell: Cell, plan: Path, chain: Chain) -> dict[str, Any]:
         too_large = max(too_large, float(row["clearance_m"]) - found[0])
     is_true = not hits and max(off_target, off_chord) <= 1.05 * NEAR_M and off_limits <= 1e-9 and off_cone <= 0.2
     return {
-        "places": places, "segments": max(0, len(rows) - 1), "pairs": len(pairs), "distance_m": nearest[0],
+        "places": places, "segments": max(0, len(rows) - 1), "pairs": len(pairs),
+        "distance_m": nearest[0] if nearest[1] else None,
         "nearest": nearest[1], "hits": {name: [len(at), at[0]] for name, at in hits.items()},
         "off_target_m": off_target, "off_chord_m": off_chord, "off_limits": off_limits, "off_cone_deg": off_cone,
         "clearance_too_large_m": too_large, "is_true": is_true and too_large <= ROUND_M,

@@ -20,7 +20,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 import venv
 from pathlib import Path
 from typing import Any
@@ -61,7 +60,8 @@ def main() -> int:
         work = (chosen.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))).resolve()
         checker = Checker(work / "checkers")
         for name in chosen.only or known["jobs"]:
-            found = {"name": name, "commit": commit(), **tried(name, known["jobs"][name], known["tools"], work, checker)}
+            found = {"name": name, "commit": commit()}
+            found |= tried(work / "jobs" / name, known["jobs"][name], known["tools"], work, checker)
             print(line(found), flush=True)
             results.append(found)
             if chosen.record:
@@ -88,17 +88,16 @@ class Checker:
         return json.loads(self._process.stdout.readline())
 
 
-def tried(name: str, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker) -> dict[str, Any]:
+def tried(folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker) -> dict[str, Any]:
     """Return the result for a job, whose files stay in a folder."""
     package, arm = entry["arm"]
     file, tcp = arm_of(package, arm, work)
-    folder = work / "jobs" / name
     folder.mkdir(parents=True, exist_ok=True)
     job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
     job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
     job = merged(job, {"settings": {"effort": 0}})
     if "tool" in entry:
-        job["robot"]["tool"] = tools[entry["tool"]]
+        job["robot"]["tool"] = tools[entry["tool"]] if isinstance(entry["tool"], str) else entry["tool"]
     (folder / "job.yaml").write_text(yaml.safe_dump(job, sort_keys=False), encoding="utf-8")
     options = ["--tcp", tcp, *entry.get("options", []), "--replace", "--json"]
     facts: dict[str, Any] = {"package": package, "arm": arm}
@@ -165,14 +164,107 @@ def is_true(found: dict[str, Any]) -> bool:
 
 
 def line(found: dict[str, Any]) -> str:
-    """Return a result as one line."""
-    kept = {key: value for key, value in found.items() if key not in ("motion", "reach")}
-    return f"{'true' if is_true(found) else 'NOT TRUE'}: {json.dumps(kept)}\n  {json.dumps(found.get('motion'))}\n  {json.dumps(found.get('reach'))}"
+    """Return a result as text."""
+    facts = {key: value for key, value in found.items() if key not in ("motion", "reach")}
+    parts = facts, found.get("motion"), found.get("reach")
+    return "\n  ".join(["true" if is_true(found) else "NOT TRUE", *map(json.dumps, parts)])
 
 
 def add_to_record(found: dict[str, Any], order: list[str]) -> None:
     """Write a job's result into the record, in the order of the list."""
     jobs = json.loads(RECORD.read_text(encoding="utf-8"))["jobs"] if RECORD.exists() else []
     known = {each["name"]: each for each in jobs} | {found["name"]: found}
-    record = {"hardware": hardware.line(), "checkers": CHECKERS, "jobs": [known[name] for name in order if name in known]}
+    kept = [known[name] for name in order if name in known]
+    record = {"hardware": hardware.line(), "checkers": CHECKERS, "jobs": kept}
     RECORD.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def page(record: dict[str, Any]) -> str:
+    """Return the page of a record."""
+    known, jobs = yaml.safe_load(JOBS.read_text(encoding="utf-8"))["jobs"], record["jobs"]
+    motions = [each["motion"] for each in jobs if "motion" in each]
+    attacks = [attack for each in jobs for attack in each.get("reach", {}).get("excluded", [])]
+    controls = [attack for each in jobs for attack in each.get("reach", {}).get("controls", [])]
+    commits = sorted({each["commit"] for each in jobs})
+    return PAGE_TEXT.format(
+        count=len(jobs),
+        true=sum(map(is_true, jobs)),
+        places=f"{sum(each['places'] for each in motions):,}",
+        segments=sum(each["segments"] for each in motions),
+        contacts=sum(len(each["hits"]) for each in motions),
+        reachable=sum(each["reach"]["reachable"] for each in jobs if "reach" in each),
+        undecided=sum(each["reach"]["undecided"] for each in jobs if "reach" in each),
+        excluded=len(attacks),
+        solutions=f"{sum(each['on_target'] for each in attacks):,}",
+        counterexamples=sum(each["free"] > 0 for each in attacks),
+        controls=len(controls),
+        broken=sum(each["free"] > 0 for each in controls),
+        hardware=record["hardware"],
+        checkers=", ".join(f"`{each}`" for each in record["checkers"]),
+        commits=", ".join(f"`{each}`" for each in commits),
+        rows="\n".join(row(each, known[each["name"]]) for each in jobs),
+        ends="\n".join(f"- **{each['name']}**: {ending(each)}." for each in jobs if ending(each)),
+    )
+
+
+def row(found: dict[str, Any], entry: dict[str, Any]) -> str:
+    """Return a job's row of the table."""
+    cells = [found["name"], entry["what"], found["arm"]]
+    if "reach" not in found or "motion" not in found:
+        return f"| {' | '.join(cells)} | not checked | | | | | | | |"
+    motion, reach = found["motion"], found["reach"]
+    cells += [f"{found['executable']} of {found['targets']}", str(motion["segments"])]
+    cells += [f"{1e3 * motion['distance_m']:.1f}" if motion["distance_m"] is not None else ""]
+    cells += [f"{reach['reachable']}, {len(reach['excluded'])}, {reach['undecided']}"]
+    cells += [f"{found['robot_cpu_s']:.0f}, {found['plan_cpu_s']:.0f}, {found['reach_cpu_s']:.0f}"]
+    cells += [f"{found['compile_s']:.0f}, {found['planning_s']:.0f}"]
+    cells += ["true" if is_true(found) else "**false**"]
+    return f"| {' | '.join(cells)} |"
+
+
+def ending(found: dict[str, Any]) -> str:
+    """Return why a job has no verdict, or a false one."""
+    if "reach" not in found:
+        return str(found.get("refused", found.get("error", "")))
+    if is_true(found):
+        return ""
+    attacks = [each for each in found["reach"]["excluded"] if each["free"]]
+    wrong = [f"target {each['target']}, excluded ({each['reach']})" for each in attacks]
+    wrong += [f"target {target}, called reachable" for target, *_ in found["reach"]["wrong"]]
+    return ", ".join(wrong + [f"contact of {name}" for name in found["motion"]["hits"]]) or "a figure of the motion"
+
+
+PAGE_TEXT = """# Jobs of strangers
+
+{count} jobs on published arms were planned by the command, as a user would, and checked with programs that share no
+code with `htcp_jax`: verdicts are true in {true} of {count}. The arms are files of pinned packages of PyPI, which
+`htcp robot` converts; `htcp plan` plans each job, and `htcp reachability --each` tests each target.
+
+- **Motions.** {segments} segments were checked at 200 places each, {places} configurations in all, with the triangles
+  of the arms' original files: {contacts} contacts. The TCP is on the seam, and joints are in their ranges.
+- **Reachable targets.** The configurations of all {reachable} were checked in the same way.
+- **Excluded targets.** From 5,000 random configurations at each of {excluded} excluded targets, an independent inverse
+  kinematics found {solutions} solutions on the target. Targets with a solution in which neither the tool nor the arm is
+  nearer to the part than the margin: {counterexamples}. At {controls} targets called reachable 500 starts found such a
+  solution in {broken}.
+- **Undecided targets**: {undecided}.
+
+`make strangers` repeats this. The jobs are in `benchmarks/stranger_jobs.yaml`, the checks in
+`benchmarks/stranger_check.py`: Pinocchio moves arms of URDF files, MuJoCo those of MJCF files, and FCL finds contacts.
+They run in an environment of their own: {checkers}.
+
+- **planned**: targets to which a proven motion leads, with `settings.effort: 0`.
+- **distance**: smallest distance of the arm's triangles from the part, fixed bodies and other links at the planned
+  targets [mm]. Links that are adjacent, and pairs that touch in at least 95 % of random configurations, do not count.
+- **each target**: reachable, excluded and undecided targets of `htcp reachability --each`.
+- **processor**: processor time of `htcp robot`, `htcp plan` and `htcp reachability --each` [s], compilation included.
+- **compile, plan**: seconds that `htcp plan` states for compilation and for planning.
+
+Times are from {hardware}, which other work shared, of the commits {commits}. Parts of executables were in the cache.
+
+| job | | arm | planned | segments | distance | each target | processor | compile, plan | verdicts |
+|---|---|---|---|---|---|---|---|---|---|
+{rows}
+
+{ends}
+"""
