@@ -17,6 +17,7 @@ import contextlib
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -48,6 +49,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, help="folder that keeps the packages and the results for the next run")
     parser.add_argument("--only", type=lambda text: text.split(","), help="try only these jobs, separated by commas")
+    parser.add_argument("--undone", action="store_true", help="htcp reachability only where a plan is not complete")
     parser.add_argument("--record", action="store_true", help="write benchmarks/strangers.json")
     parser.add_argument("--page", action="store_true", help="write the page from the record, and try nothing")
     chosen = parser.parse_args()
@@ -61,7 +63,7 @@ def main() -> int:
         checker = Checker(work / "checkers")
         for name in chosen.only or known["jobs"]:
             found = {"name": name, "commit": commit()}
-            found |= tried(work / "jobs" / name, known["jobs"][name], known["tools"], work, checker)
+            found |= tried(work / "jobs" / name, known["jobs"][name], known["tools"], work, checker, chosen.undone)
             print(line(found), flush=True)
             results.append(found)
             if chosen.record:
@@ -88,11 +90,14 @@ class Checker:
         return json.loads(self._process.stdout.readline())
 
 
-def tried(folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker) -> dict[str, Any]:
+def tried(
+    folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker, is_undone_only: bool
+) -> dict[str, Any]:
     """Return the result for a job, whose files stay in a folder."""
     package, arm = entry["arm"]
     file, tcp = arm_of(package, arm, work)
-    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
     job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
     job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
     job = merged(job, {"settings": {"effort": 0}})
@@ -106,6 +111,8 @@ def tried(folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path
         "plan": ["plan", "job.yaml", "--out", "plan", "--json"],
         "reach": ["reachability", "job.yaml", "--each", "--out", "reach", "--json"],
     }.items():
+        if step == "reach" and is_undone_only and facts["executable"] == facts["targets"]:
+            continue
         code, printed, seconds, message = run(arguments, folder)
         facts[f"{step}_cpu_s"] = seconds
         if code not in (0, 3):
@@ -160,7 +167,9 @@ def commit() -> str:
 
 def is_true(found: dict[str, Any]) -> bool:
     """Return True if a job was checked and no verdict is false."""
-    return "reach" in found and found["reach"]["is_true"] and found.get("motion", {"is_true": True})["is_true"]
+    if "motion" not in found or not found["motion"]["is_true"]:
+        return False
+    return found["reach"]["is_true"] if "reach" in found else found["executable"] == found["targets"]
 
 
 def line(found: dict[str, Any]) -> str:
@@ -210,13 +219,15 @@ def page(record: dict[str, Any]) -> str:
 def row(found: dict[str, Any], entry: dict[str, Any]) -> str:
     """Return a job's row of the table."""
     cells = [found["name"], entry["what"], found["arm"]]
-    if "reach" not in found or "motion" not in found:
+    if "motion" not in found:
         return f"| {' | '.join(cells)} | not checked | | | | | | | |"
-    motion, reach = found["motion"], found["reach"]
+    motion, reach = found["motion"], found.get("reach")
     cells += [f"{found['executable']} of {found['targets']}", str(motion["segments"])]
     cells += [f"{1e3 * motion['distance_m']:.1f}" if motion["distance_m"] is not None else ""]
-    cells += [f"{reach['reachable']}, {len(reach['excluded'])}, {reach['undecided']}"]
-    cells += [f"{found['robot_cpu_s']:.0f}, {found['plan_cpu_s']:.0f}, {found['reach_cpu_s']:.0f}"]
+    cells += [f"{reach['reachable']}, {len(reach['excluded'])}, {reach['undecided']}" if reach else "-"]
+    cells += [
+        ", ".join(f"{found[f'{step}_cpu_s']:.0f}" for step in ("robot", "plan", "reach") if f"{step}_cpu_s" in found)
+    ]
     cells += [f"{found['compile_s']:.0f}, {found['planning_s']:.0f}"]
     cells += ["true" if is_true(found) else "**false**"]
     return f"| {' | '.join(cells)} |"
@@ -224,13 +235,14 @@ def row(found: dict[str, Any], entry: dict[str, Any]) -> str:
 
 def ending(found: dict[str, Any]) -> str:
     """Return why a job has no verdict, or a false one."""
-    if "reach" not in found:
-        return str(found.get("refused", found.get("error", "")))
     if is_true(found):
         return ""
-    attacks = [each for each in found["reach"]["excluded"] if each["free"]]
+    if "motion" not in found:
+        return str(found.get("refused", found.get("error", "")))
+    reach = found.get("reach", {"excluded": [], "wrong": []})
+    attacks = [each for each in reach["excluded"] if each["free"]]
     wrong = [f"target {each['target']}, excluded ({each['reach']})" for each in attacks]
-    wrong += [f"target {target}, called reachable" for target, *_ in found["reach"]["wrong"]]
+    wrong += [f"target {target}, called reachable" for target, *_ in reach["wrong"]]
     return ", ".join(wrong + [f"contact of {name}" for name in found["motion"]["hits"]]) or "a figure of the motion"
 
 
@@ -256,7 +268,8 @@ They run in an environment of their own: {checkers}.
 - **planned**: targets to which a proven motion leads, with `settings.effort: 0`.
 - **distance**: smallest distance of the arm's triangles from the part, fixed bodies and other links at the planned
   targets [mm]. Links that are adjacent, and pairs that touch in at least 95 % of random configurations, do not count.
-- **each target**: reachable, excluded and undecided targets of `htcp reachability --each`.
+- **each target**: reachable, excluded and undecided targets of `htcp reachability --each`; `-`: not run, as all
+  targets are planned.
 - **processor**: processor time of `htcp robot`, `htcp plan` and `htcp reachability --each` [s], compilation included.
 - **compile, plan**: seconds that `htcp plan` states for compilation and for planning.
 
