@@ -29,7 +29,6 @@ from xml.etree import ElementTree
 import fcl
 import mujoco
 import numpy as np
-import pinocchio
 import trimesh
 import yaml
 from scipy.linalg import logm
@@ -58,6 +57,8 @@ class Model(NamedTuple):
 
 def by_pinocchio(file: Path) -> Model:
     """Read a URDF."""
+    import pinocchio
+
     model = pinocchio.buildModelFromUrdf(str(file))
     data, ranges = model.createData(), {}
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
@@ -458,8 +459,8 @@ def attacked(cell: Cell, chain: Chain, target: int, starts: np.ndarray) -> dict[
 
 def checked_motion(cell: Cell, plan: Path, chain: Chain) -> dict[str, Any]:
     """Check all places of a plan's motion."""
-    rows = list(csv.DictReader((plan / "motion.csv").open()))
-    traced = list(csv.DictReader((plan / "trajectory.csv").open()))
+    rows = rows_of(plan / "motion.csv")
+    traced = rows_of(plan / "trajectory.csv")
     names = chain.names
     q = np.array([[float(row[f"{name}{unit_of(rows[0], name)}"]) for name in names] for row in rows])
     before = len(traced) - len(cell.seam)  # targets before the path's first point
@@ -505,6 +506,12 @@ def checked_motion(cell: Cell, plan: Path, chain: Chain) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def rows_of(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a table."""
+    with file.open(encoding="utf-8") as table:
+        return list(csv.DictReader(table))
+
+
 def unit_of(row: dict[str, str], name: str) -> str:
     """Return the ending of a joint's column."""
     return "_rad" if f"{name}_rad" in row else "_m"
@@ -521,7 +528,7 @@ def checked_reach(cell: Cell, file: Path, chain: Chain) -> dict[str, Any]:
     found: dict[str, Any] = {"reachable": 0, "undecided": 0, "excluded": [], "controls": [], "wrong": []}
     pairs = cell.pairs(chain.names)
     starts = samples(cell, chain.names, STARTS, np.random.default_rng(3))
-    for row in csv.DictReader(file.open()):
+    for row in rows_of(file):
         target, reach = int(row["waypoint"]), row["reach"]
         if reach == "reachable":
             found["reachable"] += 1
@@ -537,7 +544,7 @@ def checked_reach(cell: Cell, file: Path, chain: Chain) -> dict[str, Any]:
         else:
             each = attacked(cell, chain, target, starts)
             found["excluded"].append({"target": target, "reach": reach, **each})
-    rows = [int(row["waypoint"]) for row in csv.DictReader(file.open()) if row["reach"] == "reachable"]
+    rows = [int(row["waypoint"]) for row in rows_of(file) if row["reach"] == "reachable"]
     if found["excluded"]:
         found["controls"] = [{"target": t, **attacked(cell, chain, t, starts[:500])} for t in rows[:1] + rows[1:][-1:]]
     found["is_true"] = not found["wrong"] and not any(each["free"] for each in found["excluded"])
@@ -548,7 +555,7 @@ def answer(wanted: dict[str, str]) -> dict[str, Any]:
     """Return the results for a request."""
     begun, folder = time.process_time(), Path(wanted["folder"])
     cell = Cell(folder, Path(wanted["file"]), wanted["tcp"])
-    header = next(csv.reader((folder / "plan/trajectory.csv").open()))
+    header = rows_of(folder / "plan/trajectory.csv")[0]
     known = {joint for model, _, _ in cell.models.values() for joint in model.ranges}
     names = [each.rpartition("_")[0] for each in header if each.rpartition("_")[0] in known]
     chain, found = Chain(cell, names), {"joints": len(names)}

@@ -21,7 +21,7 @@ RAIL = """<mujoco model="rail"><worldbody>
     <geom name="carriage" type="capsule" fromto="0 -0.05 -0.1 0 0.05 -0.1" size="0.06"/></body>
 </worldbody></mujoco>
 """
-TABLE = """<mujoco model="table"><worldbody>
+TABLE = """<mujoco model="table"><compiler angle="radian"/><worldbody>
   <body name="stand"><geom name="post" type="capsule" fromto="0 0 -0.3 0 0 -0.1" size="0.05"/>
     <body name="table"><joint name="turn" axis="0 0 1" range="{range}"/>
       <geom name="plate" type="capsule" fromto="-0.06 0 -0.05 0.06 0 -0.05" size="0.03"/></body></body>
