@@ -50,6 +50,9 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="folder that keeps the packages and the results for the next run")
     parser.add_argument("--only", type=lambda text: text.split(","), help="try only these jobs, separated by commas")
     parser.add_argument("--undone", action="store_true", help="htcp reachability only where a plan is not complete")
+    parser.add_argument(
+        "--check", action="store_true", help="only check what is in the folder --work from the last run"
+    )
     parser.add_argument("--record", action="store_true", help="write benchmarks/strangers.json")
     parser.add_argument("--page", action="store_true", help="write the page from the record, and try nothing")
     chosen = parser.parse_args()
@@ -62,8 +65,16 @@ def main() -> int:
         work = (chosen.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))).resolve()
         checker = Checker(work / "checkers")
         for name in chosen.only or known["jobs"]:
-            found = {"name": name, "commit": commit()}
-            found |= tried(work / "jobs" / name, known["jobs"][name], known["tools"], work, checker, chosen.undone)
+            folder, entry = work / "jobs" / name, known["jobs"][name]
+            facts = folder / "facts.json"
+            if not chosen.check:
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir(parents=True)
+                done = {"name": name, "commit": commit(), **planned(folder, entry, known["tools"], work, chosen.undone)}
+                facts.write_text(json.dumps(done), encoding="utf-8")
+            found = json.loads(facts.read_text(encoding="utf-8"))
+            if "refused" not in found:
+                found |= checker.check(folder, *arm_of(*entry["arm"], work))
             print(line(found), flush=True)
             results.append(found)
             if chosen.record:
@@ -90,14 +101,12 @@ class Checker:
         return json.loads(self._process.stdout.readline())
 
 
-def tried(
-    folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, checker: Checker, is_undone_only: bool
+def planned(
+    folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, is_undone_only: bool
 ) -> dict[str, Any]:
-    """Return the result for a job, whose files stay in a folder."""
+    """Return counts and times of a job, whose files stay in a folder."""
     package, arm = entry["arm"]
     file, tcp = arm_of(package, arm, work)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
     job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
     job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
     job = merged(job, {"settings": {"effort": 0}})
@@ -121,7 +130,7 @@ def tried(
             motion = printed["motion"] or {}
             facts |= {"targets": printed["targets"], "executable": motion.get("executable", 0)}
             facts |= {"planning_s": printed["run_s"], "compile_s": printed["compile_s"], "why": reason(printed)}
-    return facts | checker.check(folder, file, tcp)
+    return facts
 
 
 def arm_of(package: str, arm: str, work: Path) -> tuple[Path, str]:
