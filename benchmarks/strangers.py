@@ -206,6 +206,7 @@ def page(record: dict[str, Any]) -> str:
     commits = sorted({each["commit"] for each in jobs})
     return PAGE_TEXT.format(
         count=len(jobs),
+        listed=len(known),
         true=sum(map(is_true, jobs)),
         places=f"{sum(each['places'] for each in motions):,}",
         segments=sum(each["segments"] for each in motions),
@@ -221,6 +222,7 @@ def page(record: dict[str, Any]) -> str:
         checkers=", ".join(f"`{each}`" for each in record["checkers"]),
         commits=", ".join(f"`{each}`" for each in commits),
         rows="\n".join(row(each, known[each["name"]]) for each in jobs),
+        without=len(jobs) - sum(map(is_true, jobs)),
         ends="\n".join(f"- **{each['name']}**: {ending(each)}." for each in jobs if ending(each)),
     )
 
@@ -257,8 +259,8 @@ def ending(found: dict[str, Any]) -> str:
 
 PAGE_TEXT = """# Jobs of strangers
 
-{count} jobs on published arms were planned by the command, as a user would, and checked with programs that share no
-code with `htcp_jax`: verdicts are true in {true} of {count}. The arms are files of pinned packages of PyPI, which
+{count} of {listed} jobs on published arms were planned by the command, as a user would, and checked with programs that
+share no code with `htcp_jax`: verdicts are true in {true}. The arms are files of pinned packages of PyPI, which
 `htcp robot` converts; `htcp plan` plans each job, and `htcp reachability --each` tests each target.
 
 - **Motions.** {segments} segments were checked at 200 places each, {places} configurations in all, with the triangles
@@ -287,6 +289,8 @@ Times are from {hardware}, which other work shared, of the commits {commits}. Pa
 | job | | arm | planned | segments | distance | each target | processor | compile, plan | verdicts |
 |---|---|---|---|---|---|---|---|---|---|
 {rows}
+
+Without a true verdict: {without}.
 
 {ends}
 """
