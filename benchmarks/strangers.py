@@ -236,9 +236,8 @@ def row(found: dict[str, Any], entry: dict[str, Any]) -> str:
     cells += [f"{found['executable']} of {found['targets']}", str(motion["segments"])]
     cells += [f"{1e3 * motion['distance_m']:.1f}" if motion["distance_m"] is not None else ""]
     cells += [f"{reach['reachable']}, {len(reach['excluded'])}, {reach['undecided']}" if reach else "-"]
-    cells += [
-        ", ".join(f"{found[f'{step}_cpu_s']:.0f}" for step in ("robot", "plan", "reach") if f"{step}_cpu_s" in found)
-    ]
+    seconds = [f"{found[key]:.0f}" for key in ("robot_cpu_s", "plan_cpu_s", "reach_cpu_s") if key in found]
+    cells += [", ".join(seconds) or "-"]
     cells += [f"{found['compile_s']:.0f}, {found['planning_s']:.0f}"]
     cells += ["true" if is_true(found) else "**false**"]
     return f"| {' | '.join(cells)} |"
