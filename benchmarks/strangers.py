@@ -249,6 +249,8 @@ def ending(found: dict[str, Any]) -> str:
         return ""
     if "motion" not in found:
         return str(found.get("refused", found.get("error", "")))
+    if "reach" not in found and found["motion"]["is_true"]:
+        return "targets that are not planned were not tested"
     reach = found.get("reach", {"excluded": [], "wrong": []})
     attacks = [each for each in reach["excluded"] if each["free"]]
     wrong = [f"target {each['target']}, excluded ({each['reach']})" for each in attacks]
@@ -259,7 +261,7 @@ def ending(found: dict[str, Any]) -> str:
 PAGE_TEXT = """# Jobs of strangers
 
 {count} of {listed} jobs on published arms were planned by the command, as a user would, and checked with programs that
-share no code with `htcp_jax`: verdicts are true in {true}. The arms are files of pinned packages of PyPI, which
+share no code with `htcp_jax`: all verdicts are true in {true}. The arms are files of pinned packages of PyPI, which
 `htcp robot` converts; `htcp plan` plans each job, and `htcp reachability --each` tests each target.
 
 - **Motions.** {segments} segments were checked at 200 places each, {places} configurations in all, with the triangles
@@ -273,7 +275,8 @@ share no code with `htcp_jax`: verdicts are true in {true}. The arms are files o
 
 `make strangers` repeats this. The jobs are in `benchmarks/stranger_jobs.yaml`, the checks in
 `benchmarks/stranger_check.py`: Pinocchio moves arms of URDF files, MuJoCo those of MJCF files, and FCL finds contacts.
-They run in an environment of their own: {checkers}.
+They run in an environment of their own:
+{checkers}.
 
 - **planned**: targets to which a proven motion leads, with `settings.effort: 0`.
 - **distance**: smallest distance of the arm's triangles from the part, fixed bodies and other links at the planned
@@ -283,7 +286,8 @@ They run in an environment of their own: {checkers}.
 - **processor**: processor time of `htcp robot`, `htcp plan` and `htcp reachability --each` [s], compilation included.
 - **compile, plan**: seconds that `htcp plan` states for compilation and for planning.
 
-Times are from {hardware}, which other work shared, of the commits {commits}. Parts of executables were in the cache.
+Times are from {hardware}, which other work shared, of the commits
+{commits}. Some executables were in the cache.
 
 | job | | arm | planned | segments | distance | each target | processor | compile, plan | verdicts |
 |---|---|---|---|---|---|---|---|---|---|
