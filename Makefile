@@ -15,7 +15,7 @@ TEXT = --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutd
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz lock \
+.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz strangers lock \
 	release-check clean
 
 demo: $(VENV)/.installed  ## plan the default job
@@ -96,6 +96,10 @@ faults: $(VENV)/.installed-test  ## kill drivers, workers and nodes, fill disks,
 
 fuzz: $(VENV)/.installed-test  ## 100,000 damaged inputs for every reader; FUZZ="INPUTS SEED" for others
 	$(VENV)/bin/python tests/fuzz.py $(FUZZ)
+
+strangers: $(VENV)/.installed-test  ## jobs on published arms, checked with their original meshes: an hour, or ONLY="NAME,..."
+	$(VENV)/bin/python -m benchmarks strangers --record $(if $(ONLY),--only $(ONLY))
+	$(VENV)/bin/python -m benchmarks strangers --page
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -23,6 +23,7 @@
     python -m benchmarks speed             times, compared with committed figures or with another checkout
     python -m benchmarks gpu               the cross sweep on a GPU, compared with the last tag; README's rows
     python -m benchmarks arm-files         arms in packages of PyPI, compared with Pinocchio and MuJoCo
+    python -m benchmarks strangers         jobs on published arms, checked with their original meshes
     python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
@@ -56,6 +57,7 @@ CASES = (
     "speed",
     "gpu",
     "arm-files",
+    "strangers",
     "shape",
     "mutants",
 )
