@@ -1,7 +1,8 @@
 """Names of programs and tools that a controller's language accepts.
 
-Sources of the lists: ABB, Technical reference manual, RAPID Overview, 3HAC050947: reserved words; Universal Robots, The
-URScript Programming Language: keywords. The syntax files rapid-for-vim and urscript-mode on GitHub have the same words.
+The lists follow ABB's Technical reference manual, RAPID Overview, 3HAC050947 (reserved words), and Universal Robots'
+The URScript Programming Language (keywords), and were compared with the syntax files rapid-for-vim and urscript-mode on
+GitHub. A word that only a later version of a language reserves is not refused.
 Other formats do not contain names, or only quoted ones, and INFORM (jbi) reserves no job names.
 """
 
