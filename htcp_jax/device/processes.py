@@ -105,8 +105,8 @@ def spread(
     The argument set_counts(a, b, c) is a function that sets the three counts of the part's progress.
 
     Args:
-        environments: Environment variables of each worker, such as `ON_CPU`. Parts are assigned in turn to the kinds of
-            workers with equal variables; the next free worker of that kind takes the part.
+        environments: Environment variables of each worker, such as `ON_CPU`. If they are equal, the next free worker
+            takes the next part; if they differ, parts are assigned to the workers in turn.
         call: The function to call.
         shared: Pickled objects for all parts, from `portable`. They are sent to each worker once, and kept for the next
             call.
@@ -136,7 +136,8 @@ def spread(
         except BaseException as error:
             for each in workers:
                 each.shutdown(kill_workers=True)
-            _alone.clear()
+            for name in [name for name, each in _alone.items() if each in workers]:
+                del _alone[name]
             if isinstance(error, BrokenProcessPool):
                 raise Lost("a worker process was killed; it may have run out of memory") from None
             raise
@@ -177,14 +178,14 @@ def _executors(environments: Sequence[dict[str, str]]) -> list:
     how = {"timeout": IDLE_S, "initializer": _begin_worker, "initargs": given}
     if all(each == environments[0] for each in environments):
         return [get_reusable_executor(len(environments), env=environments[0], **how)]
-    names = [repr(sorted(each.items())) for each in environments]
+    names = [repr((given, sorted(each.items()))) for each in environments]
     for name, each in zip(names, environments, strict=True):
         if name not in _alone:
             _alone[name] = ProcessPoolExecutor(1, env=each, **how)
     return [_alone[name] for name in names]
 
 
-_alone: dict[str, Any] = {}  # executors of one worker, by its variables
+_alone: dict[str, Any] = {}  # executors of one worker, by its initial arguments and variables
 
 
 # Code that runs in a worker
