@@ -61,7 +61,11 @@ def by_hand(scenarios: Scenario, method: str) -> Plans:
     open_path[:, 1::2] -= (method == "baseline") * (open_path[:, 1::2] == 1).astype(np.int8)
     segments = np.where(open_path == 1, SegmentStatus.VALID, SegmentStatus.IN_COLLISION).astype(np.int8)
     return plans._replace(
-        start=scenarios.x_start, target=scenarios.targets, path_clear=open_path, segment_status=segments
+        start=scenarios.x_start,
+        target=scenarios.targets,
+        path_clear=open_path,
+        segment_status=segments,
+        segment_clearance=np.where(segments == SegmentStatus.VALID, 0.002, np.nan),
     )
 
 

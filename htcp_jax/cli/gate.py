@@ -25,10 +25,7 @@ LISTED, INDENT = 20, 12  # on the terminal: maximum number of listed scenarios, 
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp sweep.")]
 File = Annotated[Path, typer.Option(metavar="FILE", help="Baseline file.")]
 Update = Annotated[bool, typer.Option("--update", help="Write RUN to FILE as the new baseline, without a comparison.")]
-Methods = Annotated[
-    str | None,
-    typer.Option("--methods", metavar="NAMES", help="Methods to compare, separated by commas; default: all."),
-]
+Methods = Annotated[str, typer.Option("--methods", metavar="A,B|all", help="Methods of the baseline to compare.")]
 Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write JUnit XML, one test case per method and check.")
 ]
@@ -42,7 +39,7 @@ def gate(
     run: RunFolder,
     baseline: File,
     update: Update = False,
-    methods: Methods = None,
+    methods: Methods = "all",
     junit_file: Junit = None,
     markdown_file: Markdown = None,
     as_json: Json = False,
@@ -67,14 +64,14 @@ def gate(
     if update:
         if files:
             raise InputError(f"--update writes no comparison to {files[0]}; omit --update or that file")
-        if methods is not None:
+        if methods != "all":
             raise InputError("--update writes all methods of the run; omit --update or --methods")
         with progress_bar("plans", time_left=True) as progress:
             written = write_baseline(open_run(run), baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else _print_update(run, baseline, written)
         return PASSED
     known = read_baseline(baseline)
-    if methods is not None:
+    if methods != "all":
         known = known.only(tuple(dict.fromkeys(name.strip() for name in methods.split(","))))
     taken = [*map(os.path.realpath, (baseline, *files))]
     if twice := [file for file, place in zip(files, taken[1:], strict=True) if taken.count(place) > 1]:
@@ -82,7 +79,7 @@ def gate(
     with ExitStack() as reserved:
         for file in files:
             reserved.enter_context(output_files.writable_file(file))
-        verdict = _compare_with(run, known, only_known=methods is not None)
+        verdict = _compare_with(run, known, only_known=methods != "all")
         if junit_file:
             output_files.write_text(junit_file, gates.junit(verdict))
         if markdown_file:
