@@ -35,9 +35,13 @@ def test_scenarios_sampled_together_get_the_configurations_of_each_alone(monkeyp
 
 
 def test_no_valid_configuration_is_discarded_before_it_is_measured():
+    """Check also configurations that are only just within the task's tolerance, beyond that of inverse kinematics."""
     problem = toy.problem(threads=1)
     checker, scenario = problem.checkers[0], np.array([0, 3, 4])
     drawn, lane = transfers.drawn_configurations(problem, checker, scenario, 0), np.repeat(scenario, transfers.DRAWS)
-    here, inputs = transfers.projected(problem, checker, lane, 0, np.concatenate(drawn)), problem.inputs(lane, 0)
-    valid, kept = checker.valid(inputs, here), checker.may_be_valid(inputs, here.x)
-    assert valid.any() and kept[valid].all() and kept.sum() < len(kept) / 2
+    exact, inputs = transfers.projected(problem, checker, lane, 0, np.concatenate(drawn)), problem.inputs(lane, 0)
+    off = 0.5 * toy.SETTINGS.tolerance_m * np.random.default_rng(0).normal(size=exact.x.shape)
+    for here in (exact, checker.states(inputs, exact.x + off)):
+        valid, kept = checker.valid(inputs, here), checker.may_be_valid(inputs, here.x)
+        assert valid.any() and kept[valid].all() and kept.sum() < len(kept) / 2
+    assert (here.residual[valid] > 2 * problem.task.fine_m).any()

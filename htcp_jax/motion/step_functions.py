@@ -175,7 +175,7 @@ def is_configuration_clear(settings: Settings, scene: Scene, lane: LaneInputs, x
 def may_be_valid(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Return False if x is certainly not valid: off the lane's target, or in collision. `advance` is more expensive."""
     residual = scene.task.residual(scene.task.value(scene.robot, x), lane.target)
-    may_reach = residual <= 2 * scene.task.fine_m  # twice the tolerance, as rounding differs
+    may_reach = scene.task.reached(0.5 * residual)  # twice the tolerance, as rounding differs
     return may_reach & ~surely_collides(scene.robot, scene.obstacles, lane, x)
 
 
