@@ -6,11 +6,12 @@
 The pinned packages in arm_files.yaml are downloaded and unpacked into DIR (a temporary folder by default), not
 installed. Each arm is converted by `htcp robot` with at most one capsule for each body, and loaded. An environment of
 its own in DIR reads the original file by Pinocchio (URDF) or MuJoCo (MJCF), see arm_reference.py: the chain, the
-limits, the followers, and the pose of the TCP at 100 random configurations. `clear` is the share of these without
-self-collision.
+limits, the followers, and the pose of the TCP at 100 random configurations. `clear` and `clear_by_meshes` are the
+shares of 500 random configurations without self-collision, by capsules and pieces and by the original meshes.
 
 --record writes the results into benchmarks/arm_files.json, from which --page makes the page. Exit code: 1 if a pose
-differs by more than 1e-9, or limits differ without a message.
+differs by more than 1e-9, limits differ without a message, or an arm is clear less often than by its meshes
+and no pair is named.
 """
 
 import argparse
@@ -222,7 +223,9 @@ def clear(robot: Robot, file: Path) -> dict[str, float]:
         return {"clear": 1.0, "clear_by_meshes": 1.0}
     nowhere = Nowhere(jnp.eye(4), jnp.zeros(4))
     verdict = jax.jit(lambda x: jax.lax.map(lambda x: is_clear(robot, (own,), nowhere, x), x))
-    by_pieces, meshes = np.array(verdict(x)), LinkMeshes.read(file)
+    with warnings.catch_warnings():  # `imported` has recorded them
+        warnings.simplefilter("ignore")
+        by_pieces, meshes = np.array(verdict(x)), LinkMeshes.read(file)
     by_meshes, at = by_pieces.copy(), meshes.poses(x)
     pairs = [[robot.capsule_names[k] for k in pair] for pair in own.pairs]
     for k in np.flatnonzero(~by_pieces):
@@ -296,6 +299,10 @@ def page(record: dict[str, Any]) -> str:
         hardware=record["hardware"],
         readers=", ".join(f"`{each}`" for each in record["readers"]),
         rows="\n".join(rows),
+        nearly=NEARLY,
+        shares=len(shared := [each for each in taken if "clear_by_meshes" in each]),
+        close=sum(each["clear"] >= NEARLY * each["clear_by_meshes"] for each in shared),
+        **{f"{key}_list": _named(shared, key) for key in ("cut", "named", "overlapping")},
         refusals="\n".join(refusals),
     )
 
@@ -312,11 +319,22 @@ def _code(text: str) -> str:
     return text.replace("<", "&lt;").replace("|", "/")
 
 
+def _named(arms: list[dict[str, Any]], key: str) -> str:
+    """Format as a list what the import named of each arm."""
+    named = [
+        f"- {each['maker']} {each['arm']} (`{each['package']}`): {', '.join(each[key])}" for each in arms if each[key]
+    ]
+    return "\n".join(named) or "- none"
+
+
 def _cells(found: dict[str, Any]) -> str:
     """Format the cells of the result."""
     if "refused" in found:
-        return "refused | | | | | "
-    measured = "- | -" if found["clear"] is None else f"{found['clear']:.0%} | {found['import_s']:.0f}"
+        return "refused | | | | | | "
+    by_meshes = f"{found['clear_by_meshes']:.0%}" if "clear_by_meshes" in found else "-"
+    measured = (
+        "- | - | -" if found["clear"] is None else f"{found['clear']:.0%} | {by_meshes} | {found['import_s']:.0f}"
+    )
     if "error" in found:
         return f"{len(found['coordinates'])} | not compared | | | {measured}"
     limits = "as named" if found["limits"] else "same"
@@ -344,16 +362,31 @@ URDF files without collision geometry were imported with `--visual`.
 - **limits**: `same`, or `as named` in a message.
 - **followers**: joints of the file that follow others, such as fingers. Files with a follower on the chain to the
   TCP: {on_chain}.
-- **clear**: share of 100 random configurations within the limits without self-collision, with one capsule for each
-  body (`--most 1`). Random configurations of arms with wide ranges often collide.
+- **clear**: share of random configurations within the limits without self-collision, by capsules and pieces
+  (`--most 1`). Random configurations of arms with wide ranges often collide.
+- **by meshes**: share by the original meshes, with the same pairs checked. Both shares are of 500 configurations; where
+  this one was not measured (`-`), **clear** is of 100.
 - **import**: processor time of `htcp robot --most 1` [s], on {hardware}.
 
-One capsule for each body lets two links overlap in all or most configurations of three arms: `link_4` and `link_6` of
-the ABB IRB 140, `r_shoulder_pan_link` and `r_upper_arm_link` of the PR2, and every second section of the Stretch RE1's
-telescope (`link_arm_l4` and `link_arm_l2`, `link_arm_l3` and `link_arm_l1`).
+Where an arm was clear less than {nearly:.0%} as often by its capsules and pieces as by its meshes, the import
+[cut pieces closer](bring-a-robot.md#how-often-the-arm-is-clear), so that these bodies have more than one capsule.
+{shares} files have both shares. In {close} of them the first is at least {nearly:.0%} of the second.
 
-| maker | arm | package | file | joints | distance | limits | followers | clear | import |
-|---|---|---|---|---|---|---|---|---|---|
+Pieces were cut closer:
+
+{cut_list}
+
+The difference remains, and the import names its pairs:
+
+{named_list}
+
+Meshes of links that are not adjacent overlap in at least half of the configurations; if these are errors of the model,
+exclude the pairs with an SRDF or `<exclude>`:
+
+{overlapping_list}
+
+| maker | arm | package | file | joints | distance | limits | followers | clear | by meshes | import |
+|---|---|---|---|---|---|---|---|---|---|---|
 {rows}
 
 ## Refused

@@ -26,7 +26,8 @@ ARM = """<mujoco model="forked"><compiler angle="radian"/><worldbody>
   <body name="base"><joint name="j1" axis="0 0 1" range="-2 2"/><geom type="box" size="0.1 0.1 0.05"/>
     <body name="fork" pos="0.3 0 0.4"><joint name="j2" axis="1 0 0" range="-2 2"/>
       <geom type="box" size="0.03 0.12 0.04" pos="-0.05 0 0"/>
-      <geom type="box" size="0.12 0.01 0.04" pos="0.1 0.11 0"/><geom type="box" size="0.12 0.01 0.04" pos="0.1 -0.11 0"/>
+      <geom type="box" size="0.12 0.01 0.04" pos="0.1 0.11 0"/>
+      <geom type="box" size="0.12 0.01 0.04" pos="0.1 -0.11 0"/>
       <body name="pin" pos="0.12 0 0"><joint name="j3" axis="0 1 0" range="-1.2 1.2"/>
         <geom type="box" size="0.01 0.02 0.01"/>
         <body name="rod"><joint name="j4" axis="0 0 1" range="-{range} {range}"/>
@@ -134,9 +135,9 @@ def test_pairs_are_named_until_the_rest_makes_no_difference():
     none = np.zeros(100, bool)
     shares = ClearShares(by_pieces, dict.fromkeys(by_pieces, none) | {("f", "g"): k >= 80}, 100)
     assert (shares.pieces, shares.meshes) == (pytest.approx(0.09), pytest.approx(0.8))
-    assert list(map(str, shares.differing)) == ["a and b (60%)", "a and c (29%)"]
+    assert list(map(str, shares.differing)) == ["a and b (60.0%)", "a and c (29.0%)"]
     assert shares.described() == (
-        "9% of 100 random configurations, 80% by the meshes; the difference: a and b (60%), a and c (29%)"
+        "9% of 100 random configurations, 80% by the meshes; the difference: a and b (60.0%), a and c (29.0%)"
     )
     often = ClearShares({("a", "b"): k < 60}, {("a", "b"): k < 60}, 100)
-    assert often.differing == () and often.described().endswith("; meshes that overlap often: a and b (60%)")
+    assert often.differing == () and often.described().endswith("; meshes that overlap often: a and b (60.0%)")

@@ -37,7 +37,8 @@ Most = Annotated[
         metavar="N",
         min=1,
         max=20,
-        help=f"Maximum number of capsules fitted to a body. Default: {capsule_fit.MOST}; if --fit-tolerance is given, "
+        help=f"Maximum number of capsules fitted to a body, before pieces are cut closer. Default: {capsule_fit.MOST}; "
+        "if --fit-tolerance is given, "
         f"{close_fit.MOST_CLOSE} on the last two links and the tool, {close_fit.MOST} on the others.",
     ),
 ]
@@ -97,7 +98,8 @@ def robot(
     ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
     ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of
     capsules that are not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly
-    always overlapping, or overlapping although the meshes inside do not touch.
+    always overlapping, or overlapping although the meshes inside do not touch. If the arm is clear much less often by
+    its pieces than by its meshes, the pieces of the pairs that make the difference are cut closer.
 
     Exit codes: 0, 2 on bad input or if ARM.xml exists.
 

@@ -41,7 +41,7 @@ class PairShare(NamedTuple):
     share: float
 
     def __str__(self):
-        return f"{self.first} and {self.second} ({self.share:.0%})"
+        return f"{self.first} and {self.second} ({self.share:.1%})"
 
 
 @dataclass(frozen=True)
