@@ -380,7 +380,7 @@ The difference remains, and the import names its pairs:
 
 {named_list}
 
-Meshes of links that are not adjacent overlap in at least half of the configurations; if these are errors of the model,
+Meshes of checked pairs overlap in at least half of the configurations; if these are errors of the model,
 exclude the pairs with an SRDF or `<exclude>`:
 
 {overlapping_list}

@@ -163,7 +163,7 @@ def _checked(arm: ImportedArm, made: Robot, known: dict, progress: Callable[[int
         one, other = (names[k] for k in pair)
         key = "touch", pieces.get(one, one), pieces.get(other, other)
         if key not in known:
-            known[key] = meshes.touch(one, other, x, at, np.flatnonzero(overlap))
+            known[key] = meshes.can_touch(one, other, x, at, np.flatnonzero(overlap))
         if known[key]:
             near[one, other] = overlap[:SAMPLES]
         return known[key]

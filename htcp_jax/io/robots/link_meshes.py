@@ -175,7 +175,9 @@ class LinkMeshes:
                 break
         return deepest
 
-    def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
+    def can_touch(
+        self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]
+    ) -> bool:
         """Return True if two capsules' pieces are found to overlap by more than TOUCHING_M.
 
         The given rows of x are checked. Contacts may be rarer than one in n, so a random local search then minimises
