@@ -249,9 +249,8 @@ def is_wrong(found: dict[str, Any]) -> bool:
     if "refused" in found or "error" in found:
         return found.get("refused", "").startswith("CRASH")
     unnamed = [name for name in found["limits"] if not any(name in each for each in found["messages"])]
-    less = (
-        found["clear"] is not None and found["clear"] < NEARLY * found.get("clear_by_meshes", 0) and not found["named"]
-    )
+    shares = found.get("clear"), found.get("clear_by_meshes")
+    less = None not in shares and shares[0] < NEARLY * shares[1] and not found["named"]
     return bool(unnamed or found["lost"] or less) or max(found["position_m"], found["rotation"]) > SAME
 
 
