@@ -14,7 +14,8 @@ import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import mjcf
-from htcp_jax.io.robots.vendor_import import BodyCover, import_robot
+from htcp_jax.io.robots.body_covers import BodyCover
+from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.viewer import draw_arm
 

@@ -1,18 +1,15 @@
 """`htcp robot`: convert a vendor's URDF or MJCF to an arm of capsules."""
 
-import itertools
 import math
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
-from jaxtyping import Bool
 
-from htcp_jax.clearance.obstacles import make_self_collision, self_exclusions
+from htcp_jax.clearance.obstacles import make_self_collision
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
@@ -40,7 +37,8 @@ Most = Annotated[
         metavar="N",
         min=1,
         max=20,
-        help=f"Maximum number of capsules fitted to a body. Default: {capsule_fit.MOST}; if --fit-tolerance is given, "
+        help=f"Maximum number of capsules fitted to a body, before pieces are cut closer. Default: {capsule_fit.MOST}; "
+        "if --fit-tolerance is given, "
         f"{close_fit.MOST_CLOSE} on the last two links and the tool, {close_fit.MOST} on the others.",
     ),
 ]
@@ -100,7 +98,8 @@ def robot(
     ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
     ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of
     capsules that are not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly
-    always overlapping, or overlapping although the meshes inside do not touch.
+    always overlapping, or overlapping although the meshes inside do not touch. If the arm is clear much less often by
+    its pieces than by its meshes, the pieces of the pairs that make the difference are cut closer.
 
     Exit codes: 0, 2 on bad input or if ARM.xml exists.
 
@@ -155,25 +154,32 @@ def convert(
     from htcp_jax.viewer import draw_arm  # here, after checks of the input, as the import is slow
 
     with output_files.written_whole(out.parent) as folder:
-        output_files.write_text(folder / out.name, arm_xml(arm, source))
+
+        def load(arm: robots.ImportedArm, listed: Sequence[Listed] | None = None) -> Robot:
+            output_files.write_text(folder / out.name, arm_xml(arm, source, listed))
+            return robots.load_robot(folder / out.name, fewest_joints=1)
+
         with progress_bar("pairs of capsules") as progress:
-            listed = _excluded_pairs(arm, robots.load_robot(folder / out.name, fewest_joints=1), progress)
+            checked = robots.check_arm(arm, load, progress)
         with progress_bar("pictures"):
-            text = arm_xml(arm, source, listed)
-            output_files.write_text(folder / out.name, text)
-            made = robots.load_robot(folder / out.name, fewest_joints=1)
+            first, arm = arm, checked.arm
+            made = load(arm, checked.listed)
             own = make_self_collision(made)
             carried = "" if arm.part is None else f", part on {arm.part}"
             shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
             title = f"{made.name}: {shown}"
-            draw_arm(arm, text, title).savefig(folder / picture.name)
-    table, facts = (
-        _robot_table(arm),
-        _robot_facts(arm, made) | {"self-collision": own.described(made) if own else "no pairs to check"},
-    )
+            draw_arm(arm, (folder / out.name).read_text(encoding="utf-8"), title).savefig(folder / picture.name)
+    table, facts = _robot_table(arm), _robot_facts(arm, made)
+    facts["self-collision"] = own.described(made) if own else "no pairs to check"
+    shares = checked.shares
+    facts["clear"] = shares.described()
+    if closer := checked.closer_than(first):
+        facts["cut closer"] = closer
     if verbose:
         facts["not used"] = arm.unused
     if as_json:
+        pairs = {"differing": list(map(str, shares.differing)), "overlapping": list(map(str, shares.usual))}
+        facts["clear"] = {"pieces": shares.pieces, "meshes": shares.meshes, **pairs}
         print_json({"model": made.name, **facts, "bodies": table.records(), "files": [str(out), str(picture)]})
         return 0
     print_table(stdout(), table)
@@ -221,27 +227,6 @@ def _length_m(text: str | None) -> float | None:
         valid = f"{1e3 * low:g}mm to {1e3 * high:g}mm"
         raise InputError(f"--fit-tolerance {text}: it must be a length of {valid}, for example 5mm")
     return length_m
-
-
-def _excluded_pairs(arm: robots.ImportedArm, made: Robot, progress: Callable[[int, int], None]) -> list[Listed]:
-    """Return the pairs of capsules that samples and meshes exclude from the self-collision check.
-
-    Pairs that the model or the SRDF file disables are not included.
-    """
-    meshes, names = robots.LinkMeshes.of(arm), made.capsule_names
-    x, tried, count = self_exclusions.samples(made), itertools.count(1), len(self_exclusions.candidates(made))
-    at = meshes.poses(x)
-
-    def touch(pair: tuple[int, int], overlap: Bool[np.ndarray, "n"]) -> bool:
-        progress(next(tried), count)
-        one, other = (names[k] for k in pair)
-        return meshes.touch(one, other, x, at, np.flatnonzero(overlap))
-
-    def touching_share(pair: tuple[int, int]) -> float:
-        return meshes.touching_share(*(names[k] for k in pair), at)
-
-    found = self_exclusions.find_exclusions(made, touch, touching_share)
-    return [(names[a], names[b], rule, share) for a, b, rule, share in found]
 
 
 def _robot_table(arm: robots.ImportedArm) -> Table:

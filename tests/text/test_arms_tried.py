@@ -38,5 +38,7 @@ def test_a_difference_without_a_message_is_wrong():
     found = {"messages": [], "limits": {}, "lost": [], "position_m": 0.0, "rotation": 0.0}
     assert not arm_files.is_wrong(found)
     assert arm_files.is_wrong(found | {"limits": {"j1": [0, 1, 0, 2]}})
+    rare = found | {"clear": 0.5, "clear_by_meshes": 0.6}
+    assert arm_files.is_wrong(rare | {"named": []}) and not arm_files.is_wrong(rare | {"named": ["a and b (10.0%)"]})
     assert not arm_files.is_wrong(found | {"limits": {"j1": [0, 1, 0, 2]}, "messages": ["soft limits of j1"]})
     assert arm_files.is_wrong(found | {"position_m": 1e-6}) and arm_files.is_wrong(found | {"lost": ["j2"]})

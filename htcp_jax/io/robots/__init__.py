@@ -12,9 +12,10 @@ reads limits from another file, and `xacro_file` expands xacro files. `followers
 
 `import_robot` converts a vendor's model, of an arm or of a cell in which the part moves, to an `ImportedArm`.
 `capsule_fit` encloses each link's mesh in capsules; `close_fit` uses more capsules, within a tolerance. `stored_pieces`
-has the convex pieces of the meshes in the capsules. `mjcf` writes an imported arm as a file for `load_robot`.
-`LinkMeshes` are the vendor's meshes within the capsules, for contacts and distances between them. `attach` adds
-fixtures that move with a link to an arm.
+has the convex pieces of the meshes in the capsules, `body_covers` all capsules of a body. `clear_share` finds the pairs
+that need no check and how often the arm is clear; `closer_pieces` cuts pieces that overlap where their meshes do not.
+`mjcf` writes an imported arm as a file for `load_robot`. `LinkMeshes` are the vendor's meshes within the capsules, for
+contacts and distances between them. `attach` adds fixtures that move with a link to an arm.
 """
 
 import lazy_loader

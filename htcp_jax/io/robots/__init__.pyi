@@ -1,6 +1,7 @@
 from . import capsule_fit, close_fit
 from .attached import AttachedBody, attach
 from .chain import chain_of_file
+from .clear_share import CheckedArm, ClearShares, check_arm
 from .composed import read_model
 from .fixed_joints import fix_joints
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
@@ -16,6 +17,8 @@ __all__ = [
     "LIMIT_ROUNDING",
     "RATES",
     "AttachedBody",
+    "CheckedArm",
+    "ClearShares",
     "ImportedArm",
     "JointLimits",
     "LinkMeshes",
@@ -26,6 +29,7 @@ __all__ = [
     "capsule_fit",
     "chain_of_file",
     "chain_text",
+    "check_arm",
     "close_fit",
     "compile_spec",
     "delete_all",

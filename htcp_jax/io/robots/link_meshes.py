@@ -12,10 +12,11 @@ from typing import NamedTuple
 import fcl
 import mujoco
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Triangles, clip
+from htcp_jax.io.robots.capsule_fit import Capsule, Cut, Points, Triangles, clip
 from htcp_jax.io.robots.chain import Chain, JointMap, chain_of_file, link_frames
 from htcp_jax.io.robots.close_fit import mesh_object, point_distance_m
 from htcp_jax.io.robots.composed import read_model
@@ -23,6 +24,7 @@ from htcp_jax.io.robots.fixed_joints import fix_joints
 from htcp_jax.io.robots.model_file import NONE_LOCKED
 from htcp_jax.io.robots.mujoco_models import compile_spec, delete_all, joint_name, model_name
 from htcp_jax.io.robots.safe_xml import CUTS, MADE_FROM
+from htcp_jax.io.robots.stored_pieces import StoredPiece
 from htcp_jax.io.robots.vendor_import import ImportedArm, enclosed_triangles
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
@@ -36,12 +38,16 @@ FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
 
 
+_Held = Triangles | Capsule | StoredPiece
+
+
 class _MeshPart(NamedTuple):
-    """Content of a capsule: a piece of a mesh, or the capsule itself."""
+    """Content of a capsule: a piece of a mesh, a convex hull of one, or the capsule itself."""
 
     body: int
     shape: fcl.CollisionObject  # placed anew for every query
     T_body_shape: Float[np.ndarray, "4 4"] | None  # None: the shape is in the body's frame
+    radius: float = 0.0  # thickness of a hull [m]
 
 
 class Poses(NamedTuple):
@@ -57,10 +63,11 @@ class LinkMeshes:
     Args:
         model: The compiled model.
         chain: The arm's joints in the model.
-        held: By the capsule's name: the index of its body in the model, and its piece of a mesh or the capsule itself.
+        held: By the capsule's name: the index of its body in the model, and its piece of a mesh, the convex piece about
+            that, or the capsule itself.
     """
 
-    def __init__(self, model: mujoco.MjModel, chain: Chain, held: Mapping[str, tuple[int, Triangles | Capsule]]):
+    def __init__(self, model: mujoco.MjModel, chain: Chain, held: Mapping[str, tuple[int, _Held]]):
         self._model, self._chain = model, chain
         self._mapped = JointMap.of(model, Path(model_name(model)), chain)
         self._addresses = model.jnt_qposadr[list(chain.joints)].tolist()
@@ -74,6 +81,15 @@ class LinkMeshes:
         for body, cover in arm.covers.items():
             held |= {name: (body, capsule) for name, capsule in cover.own.items()}
             held |= {name: (body, piece.triangles) for name, piece in cover.pieces.items()}
+        return cls(arm.model, arm.chain, held)
+
+    @classmethod
+    def convex(cls, arm: ImportedArm) -> "LinkMeshes":
+        """Return the convex pieces of a newly imported arm in place of its meshes."""
+        held = {}
+        for body, cover in arm.covers.items():
+            held |= {name: (body, capsule) for name, capsule in cover.own.items()}
+            held |= {name: (body, piece._replace(capsule=cover.fitted[name])) for name, piece in cover.hulls.items()}
         return cls(arm.model, arm.chain, held)
 
     @classmethod
@@ -125,6 +141,19 @@ class LinkMeshes:
             found.rotation[k], found.position[k] = data.xmat.reshape(-1, 3, 3), data.xpos
         return found
 
+    def overlap(self, one: str, other: str, at: Poses, k: int | np.integer) -> bool:
+        """Return True if two capsules' pieces overlap or touch.
+
+        Args:
+            one: Name of a capsule.
+            other: Name of another capsule.
+            at: Poses of the bodies.
+            k: Row of `at` to check.
+        """
+        radius = self._parts[one].radius + self._parts[other].radius
+        pair = self._placed(one, at, k), self._placed(other, at, k)
+        return fcl.distance(*pair) <= radius if radius else fcl.collide(*pair) > 0
+
     def deepest_m(
         self, one: str, other: str, at: Poses, rows: Int[np.ndarray, "m"] = FIRST, enough_m: float = np.inf
     ) -> float:
@@ -146,7 +175,9 @@ class LinkMeshes:
                 break
         return deepest
 
-    def touch(self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]) -> bool:
+    def can_touch(
+        self, one: str, other: str, x: Float[np.ndarray, "n N"], at: Poses, rows: Int[np.ndarray, "m"]
+    ) -> bool:
         """Return True if two capsules' pieces are found to overlap by more than TOUCHING_M.
 
         The given rows of x are checked. Contacts may be rarer than one in n, so a random local search then minimises
@@ -215,7 +246,7 @@ class LinkMeshes:
         return max(0.0, point_distance_m(self._placed(name, at, 0), seen))
 
     def _placed(self, name: str, at: Poses, k: int | np.integer) -> fcl.CollisionObject:
-        body, shape, T = self._parts[name]
+        body, shape, T, _ = self._parts[name]
         R, t = at.rotation[k, body], at.position[k, body]
         shape.setRotation(R if T is None else R @ T[:3, :3])
         shape.setTranslation(t if T is None else R @ T[:3, 3] + t)
@@ -273,7 +304,12 @@ def _read_cuts(text: str) -> list[Cut]:
     return [Cut((row[0], row[1], row[2]), row[3]) for row in rows]
 
 
-def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
+def _capsule_part(body: int, held: _Held) -> _MeshPart:
+    if isinstance(held, StoredPiece):
+        hull = _hull_object(held.vertices)
+        if hull is not None:
+            return _MeshPart(body, hull, None, held.radius)
+        held = held.capsule
     if not isinstance(held, Capsule):
         return _MeshPart(body, mesh_object(held), None)
     T, along, turn, flat = np.eye(4), held.p - held.q, np.empty(4), np.empty(9)
@@ -284,3 +320,18 @@ def _capsule_part(body: int, held: Triangles | Capsule) -> _MeshPart:
     mujoco.mju_quat2Mat(flat, turn)
     T[:3, :3] = flat.reshape(3, 3)
     return _MeshPart(body, fcl.CollisionObject(fcl.Capsule(held.radius, length)), T)
+
+
+def _hull_object(vertices: Points) -> fcl.CollisionObject | None:
+    """Return the convex hull of points as an object of FCL, at the origin; None for fewer than four points, on a line.
+
+    The points of a flat hull are moved slightly out of its plane.
+    """
+    try:
+        hull = scipy.spatial.ConvexHull(vertices, qhull_options="QJ")
+    except (scipy.spatial.QhullError, ValueError):
+        return None
+    corners = np.unique(hull.simplices)
+    faces = np.searchsorted(corners, hull.simplices)
+    counted = np.column_stack([np.full(len(faces), 3), faces]).ravel()
+    return fcl.CollisionObject(fcl.Convex(vertices[corners], len(faces), counted))

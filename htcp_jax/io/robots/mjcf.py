@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 
+from htcp_jax.io.robots.body_covers import BodyCover
 from htcp_jax.io.robots.capsule_fit import Capsule
 from htcp_jax.io.robots.followers import equation
 from htcp_jax.io.robots.link_meshes import VISUAL, cuts_text
@@ -14,7 +15,7 @@ from htcp_jax.io.robots.model_file import EXCLUDED
 from htcp_jax.io.robots.mujoco_models import SLIDE, body_name, excluded_bodies, joint_name
 from htcp_jax.io.robots.safe_xml import CUTS, LIST, MADE_FROM, OMITTED, PART
 from htcp_jax.io.robots.stored_pieces import EXCESS, FITTED, PIECE, RADIUS, vertices_text
-from htcp_jax.io.robots.vendor_import import BodyCover, ImportedArm
+from htcp_jax.io.robots.vendor_import import ImportedArm
 
 Listed = tuple[str, str, str, float]  # an `Exclusion`, with the capsules' names
 

@@ -4,7 +4,6 @@ The joints on the chain to the TCP move, those that follow them, and those that 
 Capsules enclose the shapes of each body. The chain begins at the world, or at the link that carries the part.
 """
 
-import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.robots import capsule_fit, close_fit
-from htcp_jax.io.robots.capsule_fit import Capsule, MeshPiece, Triangles
+from htcp_jax.io.robots.body_covers import BodyCover, CapsuleFit, cover_body, joined
+from htcp_jax.io.robots.capsule_fit import Triangles
 from htcp_jax.io.robots.chain import (
     FEWEST_JOINTS,
     Chain,
@@ -46,52 +45,11 @@ from htcp_jax.io.robots.remarks import OF_IMPORT
 from htcp_jax.io.robots.safe_xml import UNUSED, read_spec
 from htcp_jax.io.robots.shapes import Geom, Shape, Shapes
 from htcp_jax.io.robots.srdf import disabled_pairs
-from htcp_jax.io.robots.stored_pieces import StoredPiece, reduced_piece
 from htcp_jax.io.robots.tcp import Tip, find_tip, other_frames, warn_of_jaw
 
 NOT_OF_AN_ARM = "plane", "hfield", "sdf"
 ROUND = "capsule", "sphere"
 CLOSE_LINKS = 2  # number of last links whose bodies are fitted within a tolerance
-
-
-class BodyCover(NamedTuple):
-    """Capsules of one body, and the shapes that they represent."""
-
-    own: dict[str, Capsule]  # the model's own capsules, by name
-    pieces: dict[str, MeshPiece]  # pieces of `enclosed` with their fitted capsules, by name
-    hulls: dict[str, StoredPiece]  # convex pieces for `pieces`, by name
-    # largest distance of each fitted capsule's surface outside of the others from `enclosed` [m], by name
-    excesses: dict[str, float]
-    drawn: Triangles  # triangles of the meshes to which MuJoCo fitted the model's own capsules [m]
-    enclosed: Triangles  # triangles of all other shapes, which the fitted capsules enclose [m]
-    kinds: tuple[str, ...]  # types of the enclosed shapes: box, mesh, ...
-
-    @property
-    def fitted(self) -> dict[str, Capsule]:
-        """The capsules of the pieces, by name."""
-        return {name: piece.capsule for name, piece in self.pieces.items()}
-
-    @property
-    def ratio(self) -> float:
-        """Volume of the fitted capsules' union, divided by the volume of the convex hull of `enclosed`.
-
-        nan if nothing was fitted, and if all shapes are flat.
-        """
-        hull = capsule_fit.hull_volume(self.enclosed.reshape(-1, 3)) if self.fitted else 0.0
-        return close_fit.union_volume(list(self.fitted.values())) / hull if hull else np.nan
-
-    @property
-    def excess_m(self) -> float:
-        """Largest distance of the fitted capsules' surface from `enclosed` [m]; nan if nothing was fitted."""
-        return max(self.excesses.values(), default=np.nan)
-
-    @property
-    def outside_m(self) -> float:
-        """Largest distance of a corner of `drawn` from the model's own capsules [m]; 0 if all are inside."""
-        corners = self.drawn.reshape(-1, 3)
-        if not len(corners):
-            return 0.0
-        return max(0.0, -float(np.max([capsule.depth(corners) for capsule in self.own.values()], axis=0).min()))
 
 
 class ImportedArm(NamedTuple):
@@ -168,7 +126,7 @@ def import_robot(
             robot, an unknown joint, a follower or a value beyond its limits in `fixed`, a tolerance out of range, and
             couplings and loops that are not supported, see `check_joints` and `_moved_joints`.
     """
-    fit = _Fit(most, tolerance_m)
+    fit = CapsuleFit(most, tolerance_m)
     spec, shapes, model = _read_model(path, visual)
     values = fix_joints(model, path, fixed or {})
     tip = find_tip(model, path, tcp, _robot_bodies(model, ()))
@@ -241,7 +199,7 @@ def _covers(
     shapes: Mapping[int, list[Shape]],
     model: mujoco.MjModel,
     chain: Chain,
-    fit: "_Fit",
+    fit: CapsuleFit,
     names: set[str],
     progress: Callable[[int, int], None],
 ) -> dict[int, BodyCover]:
@@ -250,7 +208,7 @@ def _covers(
     for done, (b, own) in enumerate(shapes.items()):
         progress(done, len(shapes))
         is_close = len(chain.to_tcp) - CLOSE_LINKS <= frames[b][0] < len(chain.to_tcp)
-        covers[b] = _cover(own, body_name(model, b), names, fit, is_close)
+        covers[b] = cover_body(own, body_name(model, b), names, fit, is_close)
     return covers
 
 
@@ -320,7 +278,7 @@ def enclosed_triangles(path: Path, visual: bool) -> dict[str, Triangles]:
     found: dict[str, list[Shape]] = {}
     for geom in chosen:
         found.setdefault(body_name(model, _body_of(model, geom)), []).append(shapes.shape(geom, model))
-    return {name: _all([shape for shape in own if shape.capsule is None]) for name, own in found.items()}
+    return {name: joined([shape for shape in own if shape.capsule is None]) for name, own in found.items()}
 
 
 def _read_model(path: Path, visual: bool) -> tuple[mujoco.MjSpec, Shapes, mujoco.MjModel]:
@@ -382,59 +340,3 @@ def _is_excluded(geom: Geom, model: mujoco.MjModel) -> bool:
 
 def _described(geom: Geom, model: mujoco.MjModel) -> str:
     return f"{model.geom(geom.at).name or geom.kind} of {body_name(model, _body_of(model, geom))}"
-
-
-def _new_name(wish: str, given: set[str]) -> str:
-    """Return `wish`, or wish_2, wish_3, ... if that name is in `given`, and add it to `given`."""
-    tries = itertools.chain([wish], (f"{wish}_{k}" for k in itertools.count(2)))
-    name = next(each for each in tries if each not in given)
-    given.add(name)
-    return name
-
-
-class _Fit:
-    """Fits of capsules to meshes. Equal meshes are fitted once, as a robot with two arms has each mesh twice.
-
-    Raises:
-        InputError: For a tolerance out of range.
-    """
-
-    def __init__(self, most: int | None, tolerance_m: float | None):
-        low, high = close_fit.TOLERANCES_M
-        if tolerance_m is not None and not low <= tolerance_m <= high:
-            raise InputError(
-                f"the tolerance of the fit is {1e3 * tolerance_m:g} mm; valid: {1e3 * low:g} to {1e3 * high:g} mm"
-            )
-        self._most, self._tolerance_m = most, tolerance_m
-        self._known: dict[tuple[bytes, bool], list[MeshPiece]] = {}
-
-    def pieces(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
-        """Return a mesh's pieces with their capsules, within the tolerance if `close`."""
-        key = triangles.tobytes(), close
-        if key not in self._known:
-            self._known[key] = self._fitted(triangles, close)
-        return self._known[key]
-
-    def _fitted(self, triangles: Triangles, close: bool) -> list[MeshPiece]:
-        most = self._most
-        if self._tolerance_m is None:
-            more = 0 if most else capsule_fit.MORE_PIECES
-            return capsule_fit.cover_with_capsules(triangles, most or capsule_fit.MOST, more)
-        if close:
-            return close_fit.cover_closely(triangles, most or close_fit.MOST_CLOSE, self._tolerance_m)
-        return close_fit.cover_closely(triangles, min(most or close_fit.MOST, close_fit.MOST))
-
-
-def _cover(shapes: list[Shape], body: str, names: set[str], fit: _Fit, close: bool) -> BodyCover:
-    given, others = ([each for each in shapes if (each.capsule is None) == is_fitted] for is_fitted in (False, True))
-    own = {shape.name or _new_name(body, names): shape.capsule for shape in given}
-    held = _all(others)
-    pieces = {_new_name(body, names): piece for piece in (fit.pieces(held, close) if others else [])}
-    hulls = {name: reduced_piece(piece.triangles.reshape(-1, 3)) for name, piece in pieces.items()}
-    excess = close_fit.excesses_m(held, [piece.capsule for piece in pieces.values()]) if pieces else []
-    excesses = dict(zip(pieces, excess, strict=True))
-    return BodyCover(own, pieces, hulls, excesses, _all(given), held, tuple(shape.kind for shape in others))
-
-
-def _all(shapes: list[Shape]) -> Triangles:
-    return np.concatenate([np.empty((0, 3, 3)), *(shape.triangles for shape in shapes)])
