@@ -123,6 +123,7 @@ class SegmentStatus(enum.IntEnum):
     UNDECIDED = 4
     WRONG_START = 5
     SAMPLED = 6
+    BELOW_MARGIN = 7
 
     @property
     def is_motion(self) -> bool:
@@ -151,6 +152,7 @@ _SEGMENT_WORDS = {
     SegmentStatus.UNDECIDED: "undecided",
     SegmentStatus.WRONG_START: "wrong start",
     SegmentStatus.SAMPLED: "sampled",
+    SegmentStatus.BELOW_MARGIN: "below the margin",
 }
 _SEGMENT_MESSAGES = {
     SegmentStatus.NOT_CHECKED: "not checked, because the motion ends before this segment",
@@ -161,6 +163,7 @@ _SEGMENT_MESSAGES = {
     SegmentStatus.UNDECIDED: "neither proven nor refuted at the finest subdivision",
     SegmentStatus.WRONG_START: "the plan does not begin at the given start",
     SegmentStatus.SAMPLED: ("the arm is proven clear; a task row without a bound is satisfied at all samples"),
+    SegmentStatus.BELOW_MARGIN: "the arm is clear on the segment to this target, but nearer than the margin",
 }
 
 

@@ -243,6 +243,7 @@ def scenario_of(
         shift=part.shift_m,
         approach=job.approach,
         margin_m=job.margin_m,
+        segment_margin_m=job.segment_margin_m,
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,

@@ -1,9 +1,9 @@
 """Verification that plans are motions: they begin at the given start, the arm is proven clear, the tool is on its path.
 
-On the segment to a target of the path, the TCP must stay within `Settings.path_tolerance_m` of the line from the
-previous target, and advance along this line. If the arm changes its configuration on the segment, the TCP must stay
-within this distance of the previous target. On segments of the approach the TCP may leave the lines. Targets closer
-than `ONE_POINT_M` are one point.
+On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margin_m`, and the TCP must
+stay within `Settings.path_tolerance_m` of the line from the previous target, and advance along this line. If the arm
+changes its configuration on the segment, the TCP must stay within this distance of the previous target. On segments of
+the approach the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
 """
 
 from typing import NamedTuple
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof import bisection, motion_proof
+from htcp_jax.clearance.proof import bisection, margin, motion_proof
 from htcp_jax.device import tables
-from htcp_jax.model import ONE_POINT_M, TCP_POSITION
+from htcp_jax.model import ONE_POINT_M, TCP_POSITION, Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
@@ -36,7 +36,7 @@ class StraightPaths(NamedTuple):
 
 
 def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
-    """Return the tubes in which the TCP must stay on some segments, with the task's goals on the path.
+    """Return the tubes in which the TCP must stay on some segments, with the task's goals and the margin on the path.
 
     A tube is unbounded on the approach, and if the task does not constrain the TCP's position.
 
@@ -49,25 +49,39 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
     scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     rows = _goals_at_ends(problem, scenario, target, turns)
+    required = margin.constant(segment_margins(scenarios, scenario, target))
     if free.all():
         return motion_proof.Tube(
-            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
+            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows, required
         )
     ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # the last target ends the path
     a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in ends)
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
+    radius = np.where(free, np.inf, problem.settings.tube_m)
+    return motion_proof.Tube(a, np.where(turns[:, None], a, b), radius, *rows, required)
+
+
+def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
+    """Return the required clearance on segments [m]; -inf where only D > 0 is required, as on the approach.
+
+    Args:
+        scenarios: Stacked scenarios.
+        scenario: Row of each segment's scenario (n,).
+        target: Target at each segment's end (n,).
+    """
+    least = scenarios.segment_margin_m[scenario]
+    return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
 
 
 def _goals_at_ends(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
-) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
+) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[None, None]:
     """Return the task's goals at both ends of each segment, and True if they are required on the segment.
 
-    Goals are required on the path. The result is empty for the paper's task, which the tube alone enforces.
+    Goals are required on the path. The result is None for the paper's task, which the tube alone enforces.
     """
     if problem.task.parts == TCP_POSITION.parts:
-        return ()
+        return None, None
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
     return goals, target > scenarios.on_path[scenario]

@@ -384,7 +384,8 @@ class PlanConfig(strict_model.FileSection):
     start_rad: StartAngles = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # auto: the planner chooses a start on the path
     home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
     task: tuple[Row, ...] = ()  # rows of the task; empty: the TCP on the path
-    margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
+    margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance
+    margin_on: Literal["segments", "targets"] = "segments"  # segments: also between targets, where targets needs D > 0
     method: str = "beam"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
@@ -394,6 +395,11 @@ class PlanConfig(strict_model.FileSection):
     @classmethod
     def _own_defaults(cls, raw: Any) -> Any:
         return merged((own_defaults(raw), raw)) if isinstance(raw, dict) else raw
+
+    @property
+    def segment_margin_m(self) -> float:
+        """Required clearance on the segments of the path [m]; 0: only D > 0."""
+        return self.margin_m if self.margin_on == "segments" else 0.0
 
     @property
     def has_own_arm(self) -> bool:
