@@ -124,6 +124,7 @@ class SegmentStatus(enum.IntEnum):
     WRONG_START = 5
     SAMPLED = 6
     BELOW_MARGIN = 7
+    REDUCED_MARGIN = 8
 
     @property
     def is_motion(self) -> bool:
@@ -141,7 +142,7 @@ class SegmentStatus(enum.IntEnum):
         return _SEGMENT_MESSAGES[self]
 
 
-MOTION = SegmentStatus.VALID, SegmentStatus.SAMPLED
+MOTION = SegmentStatus.VALID, SegmentStatus.SAMPLED, SegmentStatus.REDUCED_MARGIN
 
 _SEGMENT_WORDS = {
     SegmentStatus.NOT_CHECKED: "not checked",
@@ -153,6 +154,7 @@ _SEGMENT_WORDS = {
     SegmentStatus.WRONG_START: "wrong start",
     SegmentStatus.SAMPLED: "sampled",
     SegmentStatus.BELOW_MARGIN: "below the margin",
+    SegmentStatus.REDUCED_MARGIN: "proven with less margin",
 }
 _SEGMENT_MESSAGES = {
     SegmentStatus.NOT_CHECKED: "not checked, because the motion ends before this segment",
@@ -164,6 +166,7 @@ _SEGMENT_MESSAGES = {
     SegmentStatus.WRONG_START: "the plan does not begin at the given start",
     SegmentStatus.SAMPLED: ("the arm is proven clear; a task row without a bound is satisfied at all samples"),
     SegmentStatus.BELOW_MARGIN: "the arm is clear on the segment to this target, but nearer than the margin",
+    SegmentStatus.REDUCED_MARGIN: "proven: the arm is clear, but has less clearance than `transfer_margin_m` requires",
 }
 
 

@@ -1,6 +1,7 @@
 """Margins between targets: what is proven is measured again by brute force, and by MuJoCo."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,7 @@ import toy
 import htcp_jax
 from htcp_jax.clearance.proof import margin
 from htcp_jax.clearance.proof.motion_proof import Tube
+from htcp_jax.motion import joint_search
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.motion_check import segments_of
 from htcp_jax.status import SegmentStatus
@@ -16,6 +18,7 @@ from htcp_jax.validation import validate_results
 
 PLACES = 200  # on each joint path
 MARGIN_M = 0.01
+TRANSFER_M, FALLOFF_M = 0.09, 0.2
 
 
 def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -93,3 +96,49 @@ def test_mujoco_refutes_a_plan_whose_segments_lack_the_margin(tmp_path):
     summary["config"]["margin_on"] = "targets"
     file.write_text(json.dumps(summary))
     assert not validate_results(tmp_path / "plan").refuted
+
+
+@cache
+def from_home():
+    """A scenario with a home on the other side of the shelf, its plans, and the plans without a transfer margin."""
+    home = np.radians([150.0, -60.0, 100.0, 30.0])
+    found = []
+    for transfer_margin_m in (TRANSFER_M, 0.0):
+        where = {"transfer_margin_m": transfer_margin_m, "transfer_falloff_m": FALLOFF_M, "rotation": (0.1, 0.3)}
+        scenario = toy.scenario(home=home, start=None, **where)
+        found.append((scenario, toy.planned((scenario,))))
+    return found
+
+
+def lacking(scenario, plans) -> np.ndarray:
+    """What the arm lacks of the rule at places on segments before the path (n, PLACES + 1) [m], in plain NumPy."""
+    paths = segments_of(plans, plans.executable & (np.arange(plans.x.shape[1]) <= scenario.on_path))
+    ends = np.array([plans.start[0], plans.x[0, 0], plans.x[0, int(scenario.on_path)]])
+    clearance, place = toy.measured(scenario, ends)
+    x = along(paths.a, paths.b)
+    D, tcp = (found.reshape(*x.shape[:2], -1) for found in toy.measured(scenario, x.reshape(-1, x.shape[2])))
+    required = np.full(x.shape[:2], TRANSFER_M)
+    for k, own in enumerate((paths.target == 0, paths.target > 0)):
+        for end in (k, k + 1):
+            d = min(clearance[end], TRANSFER_M)
+            falls = d + (TRANSFER_M - d) * np.linalg.norm(tcp - place[end], axis=2) / FALLOFF_M
+            required[own] = np.minimum(required, falls)[own]
+    return required - D[..., 0]
+
+
+def test_a_transfer_has_its_margin_which_falls_off_towards_its_ends():
+    (scenario, plans), (_, free) = from_home()
+    before = np.arange(plans.x.shape[1]) <= scenario.on_path
+    assert (plans.segment_status[0, before] == SegmentStatus.VALID).all()
+    assert lacking(scenario, plans).max() <= 2e-6
+    assert lacking(scenario, free).max() > 0.005
+
+
+def test_a_transfer_without_enough_room_is_kept_and_marked(monkeypatch):
+    monkeypatch.setattr(joint_search, "MARGIN_ROUNDS", 2)
+    (scenario, _), (_, free) = from_home()
+    plans = toy.planned((replace(scenario, transfer_margin_m=np.array(1.0), transfer_falloff_m=np.array(1e-3)),))
+    assert plans.segment_status[0, 0] == SegmentStatus.REDUCED_MARGIN
+    assert plans.executable.sum() == free.executable.sum() > 1
+    paths = segments_of(plans, plans.executable & (np.arange(plans.x.shape[1]) == 0))
+    assert least(scenario, paths.a, paths.b).min() >= plans.segment_clearance[0, 0] > 0

@@ -244,6 +244,8 @@ def scenario_of(
         approach=job.approach,
         margin_m=job.margin_m,
         segment_margin_m=job.segment_margin_m,
+        transfer_margin_m=job.transfer_margin_m,
+        transfer_falloff_m=job.transfer_falloff_m,
         tool_extension_m=job.robot.tool_extension_m,
         number=number,
         beyond_reach=beyond_reach,

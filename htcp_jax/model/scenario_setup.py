@@ -57,6 +57,8 @@ def make_scenario(
     approach: tuple[int, int] = (5, 5),
     margin_m: float = 5e-4,
     segment_margin_m: float = 0.0,
+    transfer_margin_m: float = 0.0,
+    transfer_falloff_m: float = 0.05,
     tool_extension_m: float = 0.0,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
@@ -76,6 +78,8 @@ def make_scenario(
         approach: Steps of the approach, see `path_targets`.
         margin_m: Required clearance at the targets.
         segment_margin_m: Required clearance on the segments of the path; 0: only D > 0.
+        transfer_margin_m: Required clearance before the path, if there is such a motion; 0: only D > 0.
+        transfer_falloff_m: Distance from the ends of a motion within which `transfer_margin_m` falls off.
         tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
         number: Number of the scenario, for the random keys.
         beyond_reach: What to do if a target is beyond the arm's maximum reach: "raise" raises OutOfReach; "record" sets
@@ -100,6 +104,8 @@ def make_scenario(
         approach=approach,
         margin_m=np.array([margin_m], float),
         segment_margin_m=np.array([segment_margin_m], float),
+        transfer_margin_m=np.array([transfer_margin_m], float),
+        transfer_falloff_m=np.array([transfer_falloff_m], float),
         tool_extension_m=tool_extension_m,
         number=np.array([number]),
     )
@@ -123,6 +129,8 @@ def make_scenarios(
     approach: tuple[int, int],
     margin_m: Float[np.ndarray, "S"],
     segment_margin_m: Float[np.ndarray, "S"],
+    transfer_margin_m: Float[np.ndarray, "S"],
+    transfer_falloff_m: Float[np.ndarray, "S"],
     tool_extension_m: float,
     number: Int[np.ndarray, "S"],
 ) -> Scenario:
@@ -142,6 +150,8 @@ def make_scenarios(
         approach: Steps of the approach, see `path_targets`.
         margin_m: Required clearances at the targets.
         segment_margin_m: Required clearances on the segments of the path; 0: only D > 0.
+        transfer_margin_m: Required clearances before the path, see `make_scenario`.
+        transfer_falloff_m: Distances within which they fall off.
         tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
         number: Numbers of the scenarios, for the random keys.
     """
@@ -163,6 +173,8 @@ def make_scenarios(
         on_path=np.full(scenarios, count - len(workpiece.path), np.int32),
         margin_m=margin_m,
         segment_margin_m=segment_margin_m,
+        transfer_margin_m=transfer_margin_m,
+        transfer_falloff_m=transfer_falloff_m,
         tool_extension_m=np.full(scenarios, tool_extension_m, float),
         number=number.astype(np.int32),
         refused=np.where(is_far.any(axis=1), Status.OUT_OF_REACH, NOT_REFUSED).astype(np.int32),

@@ -168,7 +168,10 @@ def prove_call(
     closely = ProofResolution(
         *(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int)))
     )
-    return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
+    tube = free_tubes(task, inputs) if tube is None else tube
+    if tube.margin is None:
+        tube = tube._replace(margin=margin.constant(np.full(len(a), -np.inf)))
+    return PROVE, inputs, a, b, tube, closely
 
 
 def free_tubes(task: Task, inputs: LaneInputs, margin_m: Float[np.ndarray, "n"] | None = None) -> motion_proof.Tube:

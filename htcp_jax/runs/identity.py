@@ -16,6 +16,8 @@ NO_IDENTITY = "method", "program", "ray"
 # contain no models except the robot's. The first column is the section, or None for a key outside of sections.
 NEW_KEYS = (
     (None, "margin_on", "targets"),
+    (None, "transfer_margin_m", 0.0),
+    (None, "transfer_falloff_m", 0.05),
     ("cell", "fixtures", None),
     ("robot", "locked", None),
     ("robot", "parent", "world"),

@@ -386,6 +386,9 @@ class PlanConfig(strict_model.FileSection):
     task: tuple[Row, ...] = ()  # rows of the task; empty: the TCP on the path
     margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance
     margin_on: Literal["segments", "targets"] = "segments"  # segments: also between targets, where targets needs D > 0
+    transfer_margin_m: float = Field(5e-3, ge=0, le=1)  # required clearance before the path, if possible; 0: D > 0
+    # distance of the TCP from either end of a transfer or approach within which transfer_margin_m falls off
+    transfer_falloff_m: float = Field(0.05, ge=1e-6, le=10)
     method: str = "beam"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()

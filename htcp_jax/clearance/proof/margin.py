@@ -28,6 +28,10 @@ class Margin(NamedTuple):
     at_end_m: Float[Anywhere, "*n 2"]  # d_k [m]; inf: the margin does not fall off
     rate: Float[Anywhere, "*n 2"]  # (m - d_k) / f [1]
 
+    def scaled(self, share: float) -> "Margin":
+        """Return the rule with `share` times the required clearance everywhere."""
+        return self._replace(most_m=share * self.most_m, at_end_m=share * self.at_end_m, rate=share * self.rate)
+
     def at(self, tcp: Vector3, travel: Scalar | float = 0.0) -> Scalar:
         """Return the largest required clearance with the TCP at most `travel` from `tcp` [m].
 
