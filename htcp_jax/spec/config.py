@@ -345,6 +345,9 @@ class ProgramConfig(strict_model.FileSection):
     jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: by full_acceleration_s
     full_speed_s: Moment = 0.2  # time to reach the velocity limit, without acceleration limits
     full_acceleration_s: Moment = 0.1  # time to reach the acceleration limit, without jerk limits
+    # before and after the path, largest share of full joint speed where the part is nearer than near_part_m
+    near_part_speed: float = Field(1.0, ge=0.001, le=1)  # [1]
+    near_part_m: float = Field(0.02, ge=0, le=10)
     tool: int = Field(0, ge=0, le=63)  # number of the tool in the controller
     tool_name: str | None = None  # name of the tool data, for rapid; None: tool<number>
     # for rapid: axes whose value is the sum of their own joint and another joint, such as {joint_3: joint_2}

@@ -20,6 +20,7 @@ from htcp_jax.motion import Motion
 from htcp_jax.trajectory.blends import MotionSlack, blends
 from htcp_jax.trajectory.curve import Blend
 from htcp_jax.trajectory.limits import MotionLimits
+from htcp_jax.trajectory.near_part import ShareOfSpeed
 from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -114,7 +115,14 @@ class Program(NamedTuple):
         return found
 
 
-def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> Program:
+def time_motion(
+    robot: Robot,
+    motion: Motion,
+    left: MotionSlack,
+    limits: MotionLimits,
+    feed_m_s: float,
+    near_part: ShareOfSpeed | None = None,
+) -> Program:
     """Return the fastest program of a motion within the feed rate and the limits.
 
     Args:
@@ -123,6 +131,7 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
         left: Slack of the motion's proof at each leg.
         limits: Limits of the joints.
         feed_m_s: Feed rate of the TCP on the path.
+        near_part: Lower speed near the part, see `near_part_speeds`; None: full speed.
 
     Raises:
         InputError: If the feed rate is not above 0, if the motion has no configurations, or if the arm does not move.
@@ -134,9 +143,9 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
     if not np.any(motion.x != motion.x[0]):
         raise InputError("the arm does not move in this motion, so there is nothing to time")
     parts = blends(robot, motion, left, limits, feed_m_s)
-    scalings = [
-        time_scaling(path_of_blend(robot, part), limits, feed_m_s if part.on_process else np.inf) for part in parts
-    ]
+    paths, free = [path_of_blend(robot, part) for part in parts], near_part or (lambda path: np.inf)
+    feeds = [feed_m_s if part.on_process else free(path) for part, path in zip(parts, paths, strict=True)]
+    scalings = [time_scaling(path, limits, feed) for path, feed in zip(paths, feeds, strict=True)]
     return Program(motion, parts, scalings, robot.joint_names, feed_m_s)
 
 
