@@ -30,7 +30,7 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
-from htcp_jax.status import NOT_TRIED, Status
+from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
 from htcp_jax.system import output_files
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ class Plan:
         recovered = f", {s.after_recovery} of them by a recovery" if s.after_recovery else ""
         facts = {
             **self.motion_summary.facts(),
+            **self._reduced_margin(),
             **self._length(),
             **self._joint_step(),
             "targets tracked": f"{s.tracked} of {s.targets} ({100 * s.success_rate:.2f} %){recovered}",
@@ -143,6 +144,14 @@ class Plan:
             return {}
         joints, path = (np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (x, plans.tcp[0, here]))
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
+
+    def _reduced_margin(self) -> dict[str, str]:
+        """Return a line with the segments that have less than `transfer_margin_m`; {} if there are none."""
+        plans = self.plans
+        here = np.flatnonzero(plans.executable[0] & (plans.segment_status[0] == SegmentStatus.REDUCED_MARGIN))
+        found = [f"at least {1e3 * plans.segment_clearance[0, t]:.3g} mm on the segment to target {t}" for t in here]
+        lacks = f"less than {1e3 * self.job.transfer_margin_m:g} mm and its falloff require: "
+        return {"transfer margin": lacks + ", ".join(found)} if found else {}
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""

@@ -126,6 +126,8 @@ class SegmentStatus(enum.IntEnum):
     UNDECIDED = 4
     WRONG_START = 5
     SAMPLED = 6
+    BELOW_MARGIN = 7
+    REDUCED_MARGIN = 8
 
     @property
     def is_motion(self) -> bool:
@@ -143,7 +145,7 @@ class SegmentStatus(enum.IntEnum):
         return _SEGMENT_MESSAGES[self]
 
 
-MOTION = SegmentStatus.VALID, SegmentStatus.SAMPLED
+MOTION = SegmentStatus.VALID, SegmentStatus.SAMPLED, SegmentStatus.REDUCED_MARGIN
 
 _SEGMENT_WORDS = {
     SegmentStatus.NOT_CHECKED: "not checked",
@@ -154,6 +156,8 @@ _SEGMENT_WORDS = {
     SegmentStatus.UNDECIDED: "undecided",
     SegmentStatus.WRONG_START: "wrong start",
     SegmentStatus.SAMPLED: "sampled",
+    SegmentStatus.BELOW_MARGIN: "below the margin",
+    SegmentStatus.REDUCED_MARGIN: "proven with less margin",
 }
 _SEGMENT_MESSAGES = {
     SegmentStatus.NOT_CHECKED: "not checked, because the motion ends before this segment",
@@ -164,6 +168,8 @@ _SEGMENT_MESSAGES = {
     SegmentStatus.UNDECIDED: "neither proven nor refuted at the finest subdivision",
     SegmentStatus.WRONG_START: "the plan does not begin at the given start",
     SegmentStatus.SAMPLED: ("the arm is proven clear; a task row without a bound is satisfied at all samples"),
+    SegmentStatus.BELOW_MARGIN: "the arm is clear on the segment to this target, but nearer than the margin",
+    SegmentStatus.REDUCED_MARGIN: "proven: the arm is clear, but has less clearance than `transfer_margin_m` requires",
 }
 
 

@@ -43,7 +43,7 @@ def test_a_complete_plan_exits_0_with_a_table_and_five_files(here, capsys):
         assert arrays["x"].shape == (13, 6)
     motion, reported = summary["motion"], output.out
     assert (motion["executable"], motion["segment_status"], motion["dwells"]) == (13, "VALID", [])
-    assert f" mm; minimum on the segment to target {motion['clearance_target']}\n" in reported
+    assert f" mm; minimum on the segment to target {motion['clearance_target']} (" in reported
     with open(here / "out" / "motion.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["kind"] for row in rows] == ["APPROACH"] * 13 + ["PROCESS"]

@@ -53,8 +53,8 @@ def test_an_example_is_written_with_all_that_it_refers_to(here, capsys, name):
 
 def test_a_gated_sweep_comes_with_its_baseline(here):
     assert main(["example", "sweeps/workpiece", "new"]) == 0
-    name = "baselines/workpiece.yaml"
-    assert (here / "new" / name).read_bytes() == (ROOT / "sweeps" / name).read_bytes()
+    name = "sweeps/baselines/workpiece.yaml"
+    assert (here / "new" / name).read_bytes() == (ROOT / name).read_bytes()
 
 
 def test_a_file_comes_before_the_example_of_its_name(here):

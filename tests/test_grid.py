@@ -134,7 +134,7 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [margin_m: []]", "grid, axis 1: margin_m has no values"),
         ("grid: [margin_m: 1]", "margin_m needs a list of values"),
         ("grid: [margin_m: {offset: [1]}]", "margin_m needs a list of values"),
-        ("grid: [margin: [1]]", "grid, axis 1: unknown parameter margin; did you mean margin_m?"),
+        ("grid: [margin: [1]]", "grid, axis 1: unknown parameter margin; did you mean margin_m or margin_on?"),
         ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; did you mean start_rad"),
         (
             "grid: [cell.obstacles: [[], []]]",

@@ -176,7 +176,8 @@ def test_the_guaranteed_clearance_of_a_transfer_is_given_apart_from_that_of_the_
     plans = plans_with([[Status.TRACKED_AFTER_RECOVERY] + [Status.TRACKED] * 3])
     valid = np.full_like(plans.segment_status, SegmentStatus.VALID)
     plans = plans._replace(segment_status=valid, path_clear=np.ones_like(plans.path_clear))
-    for first_m, told in ((1e-6, "at least 2 mm; minimum on the segment to target 2; in the transfer more than 0 mm"),
-                          (5e-3, "at least 2 mm; minimum on the segment to target 2")):  # fmt: skip
+    transfer = "more than 0 mm; minimum on the segment to target 0 (transfer); at least 2 mm after the transfer"
+    seam = "at least 2 mm; minimum on the segment to target 2 (process)"
+    for first_m, told in ((1e-6, transfer), (5e-3, seam)):
         own = plans._replace(segment_clearance=np.array([[first_m, 4e-3, 2e-3, 3e-3]]))
         assert summarise_motion(own, 0).facts()["guaranteed clearance"] == told

@@ -333,7 +333,7 @@ def test_a_run_can_be_read_while_it_is_planned(small):
         (["grid.yaml", "--seed", "-1"], "settings.seed is -1: at least 0 is needed"),
         (["grid.yaml", "--set", "margin=1"], "unknown key margin; did you mean margin_m?"),
         (["grid.yaml", "--config", "none.yaml"], "cannot read none.yaml"),
-        (["bad.yaml"], "bad.yaml: grid, axis 1: unknown parameter margin; did you mean margin_m?"),
+        (["bad.yaml"], "bad.yaml: grid, axis 1: unknown parameter margin; did you mean margin_m or margin_on?"),
         (["empty.yaml"], "empty.yaml: grid is empty"),
         (["grid.yaml", "--out", "path.csv"], "cannot write to path.csv"),
         (["grid.yaml", "--set", "settings.q_weights=[1]"], "q_weights has 1 values, but the robot gp50 has 6 joints"),

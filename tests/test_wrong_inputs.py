@@ -398,7 +398,7 @@ SWEEPS = [
     grid("grid: [margin_m: [.nan]]", "margin_m takes finite numbers, not nan"),
     grid("grid: [margin_m: [-1]]", "scenario 0: margin_m is -1"),
     grid("grid: [margin_m: [0, 1.0e+300]]", "scenario 1: margin_m is 1e+300"),
-    grid("grid: [margin: [1]]", "unknown parameter margin; did you mean margin_m?"),
+    grid("grid: [margin: [1]]", "unknown parameter margin; did you mean margin_m or margin_on?"),
     grid("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7"),
     grid("grid: [start_rad: [0]]", "start_rad takes lists of numbers, not 0"),
     grid("grid: [start_rad: [[0, 0]]]", "scenario 0: start has 2 joint positions"),

@@ -35,7 +35,7 @@ from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
 from htcp_jax.spec import PlanConfig, numbers_of
 
-# Sections of a configuration; the other keys are those of the start and the margin
+# Sections of a configuration; the other keys are those of the start and the margins
 SECTIONS = "robot", "positioner", "rail", "tool", "workpiece", "cell", "task", "settings"
 
 
@@ -134,7 +134,10 @@ def _scenarios(
         T_world_workpiece=np.stack([own.T_world_workpiece for own in shared]),
         interior_plane=np.stack([own.interior_plane for own in shared]),
         approach=job.approach,
-        margin_m=np.array([point.config.margin_m for point in points], float),
+        **{
+            name: np.array([getattr(point.config, name) for point in points], float)
+            for name in ("margin_m", "segment_margin_m", "transfer_margin_m", "transfer_falloff_m")
+        },
         tool_extension_m=first.tool_extension_m,
         number=np.array([0 if alone else point.number for point in points]),
     )

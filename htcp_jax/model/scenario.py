@@ -27,7 +27,10 @@ class Scenario:
     targets: Float[Anywhere, "*S T M"]  # positions of the tool, world [m]; rows from `count` on are padding
     count: Int[Anywhere, "*S"]  # number of targets to track
     on_path: Int[Anywhere, "*S"]  # index of the first target that is a point of the path; earlier ones are the approach
-    margin_m: Float[Anywhere, "*S"]  # required clearance
+    margin_m: Float[Anywhere, "*S"]  # required clearance at the targets
+    segment_margin_m: Float[Anywhere, "*S"]  # required clearance on segments of the path; 0: only D > 0
+    transfer_margin_m: Float[Anywhere, "*S"]  # required clearance before the path, if possible; 0: only D > 0
+    transfer_falloff_m: Float[Anywhere, "*S"]  # distance from both ends of a motion within which it falls off
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # the scenario's number, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned

@@ -56,6 +56,9 @@ def make_scenario(
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     approach: tuple[int, int] = (5, 5),
     margin_m: float = 5e-4,
+    segment_margin_m: float = 0.0,
+    transfer_margin_m: float = 0.0,
+    transfer_falloff_m: float = 0.05,
     tool_extension_m: float = 0.0,
     number: int = 0,
     beyond_reach: Literal["raise", "record"] = "raise",
@@ -73,7 +76,10 @@ def make_scenario(
         rotation_x_rad: Rotation of the workpiece about world x.
         shift: Translation of the workpiece in the world [m].
         approach: Steps of the approach, see `path_targets`.
-        margin_m: Required clearance.
+        margin_m: Required clearance at the targets.
+        segment_margin_m: Required clearance on the segments of the path; 0: only D > 0.
+        transfer_margin_m: Required clearance before the path, if there is such a motion; 0: only D > 0.
+        transfer_falloff_m: Distance from the ends of a motion within which `transfer_margin_m` falls off.
         tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
         number: Number of the scenario, for the random keys.
         beyond_reach: What to do if a target is beyond the arm's maximum reach: "raise" raises OutOfReach; "record" sets
@@ -97,6 +103,9 @@ def make_scenario(
         interior_plane=interior_plane_of(robot, workpiece, T_world_workpiece)[None],
         approach=approach,
         margin_m=np.array([margin_m], float),
+        segment_margin_m=np.array([segment_margin_m], float),
+        transfer_margin_m=np.array([transfer_margin_m], float),
+        transfer_falloff_m=np.array([transfer_falloff_m], float),
         tool_extension_m=tool_extension_m,
         number=np.array([number]),
     )
@@ -119,6 +128,9 @@ def make_scenarios(
     interior_plane: Float[np.ndarray, "S 4"],
     approach: tuple[int, int],
     margin_m: Float[np.ndarray, "S"],
+    segment_margin_m: Float[np.ndarray, "S"],
+    transfer_margin_m: Float[np.ndarray, "S"],
+    transfer_falloff_m: Float[np.ndarray, "S"],
     tool_extension_m: float,
     number: Int[np.ndarray, "S"],
 ) -> Scenario:
@@ -136,7 +148,10 @@ def make_scenarios(
         T_world_workpiece: Poses of the workpiece [m].
         interior_plane: Planes that belong to the poses, see `interior_plane_of` [m].
         approach: Steps of the approach, see `path_targets`.
-        margin_m: Required clearances.
+        margin_m: Required clearances at the targets.
+        segment_margin_m: Required clearances on the segments of the path; 0: only D > 0.
+        transfer_margin_m: Required clearances before the path, see `make_scenario`.
+        transfer_falloff_m: Distances within which they fall off.
         tool_extension_m: Extension of the tool, see `robot.lengthen_tool`.
         number: Numbers of the scenarios, for the random keys.
     """
@@ -157,6 +172,9 @@ def make_scenarios(
         count=np.full(scenarios, count, np.int32),
         on_path=np.full(scenarios, count - len(workpiece.path), np.int32),
         margin_m=margin_m,
+        segment_margin_m=segment_margin_m,
+        transfer_margin_m=transfer_margin_m,
+        transfer_falloff_m=transfer_falloff_m,
         tool_extension_m=np.full(scenarios, tool_extension_m, float),
         number=number.astype(np.int32),
         refused=np.where(is_far.any(axis=1), Status.OUT_OF_REACH, NOT_REFUSED).astype(np.int32),

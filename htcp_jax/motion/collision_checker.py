@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacles import TipGuard
-from htcp_jax.clearance.proof import ROUNDING_M, bisection, motion_proof
+from htcp_jax.clearance.proof import ROUNDING_M, bisection, margin, motion_proof
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import TCP_POSITION, Task
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -103,8 +103,8 @@ class CollisionChecker:
     ) -> bisection.Proof:
         """Prove or refute that the straight joint paths from a to b are valid; return one `Proof` per path.
 
-        On a valid path the bodies are clear, the TCP stays in its tube, the task's rows are satisfied where the tube
-        requires them, and the bare tip is outside of walls.
+        On a valid path the bodies are clear by the tube's margin, the TCP stays in its tube, the task's rows are
+        satisfied where the tube requires them, and the bare tip is outside of walls.
 
         Args:
             inputs: Scenario and target of each path.
@@ -112,7 +112,7 @@ class CollisionChecker:
             b: Ends of the paths [rad or m].
             tube: Allowed regions of the TCP; None: anywhere.
             kept: Share of D that must remain, see `clearance.proof.motion_proof.query_on`; with 0, the proven clearance
-                is -resolution_m.
+                is the required one.
             resolution_m: The proof is D > -resolution_m, see `query_on`.
             deepest: Maximum number of halvings, see `query_on`.
             tip: True to check the tip at configurations between a and b, see `tip_motions`; if it passes through a wall
@@ -125,14 +125,24 @@ class CollisionChecker:
         passes = proven & ~self._tip_free_along(inputs, a, b, proven)
         return proof._replace(verdict=np.where(passes, int(SegmentStatus.IN_COLLISION), proof.verdict))
 
-    def path_clear(self, inputs: LaneInputs, a: Configurations, b: Configurations) -> Rows:
+    def path_clear(
+        self, inputs: LaneInputs, a: Configurations, b: Configurations, margin_m: Float[np.ndarray, "n"] | None = None
+    ) -> Rows:
         """Return True for straight joint paths that are clear by `settings.path_test`, the bare tip included.
 
         With `bisection` the paths are proven to be clear, by the executable of `edges`. With `samples` only the
-        configurations between `settings.path_steps` equal steps are tested, without the ends.
+        configurations between `settings.path_steps` equal steps are tested, without the ends and without a margin.
+
+        Args:
+            inputs: Scenario and target of each path.
+            a: Starts of the paths [rad or m].
+            b: Ends of the paths [rad or m].
+            margin_m: Required clearance on each path [m]; None, or -inf: only D > 0.
         """
         if self._settings.path_test == "bisection":
-            return self.edges(inputs, a, b, resolution_m=motion_proof.RESOLUTION_M).verdict == SegmentStatus.VALID
+            tube = free_tubes(self.task, inputs, margin_m)
+            proof = self.edges(inputs, a, b, tube, resolution_m=motion_proof.RESOLUTION_M)
+            return proof.verdict == SegmentStatus.VALID
         clear, steps = np.ones(len(a), bool), self._settings.path_steps
         for step in range(1, steps):
             if clear.any():
@@ -163,13 +173,22 @@ def prove_call(
     closely = ProofResolution(
         *(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int)))
     )
-    return PROVE, inputs, a, b, free_tubes(task, inputs) if tube is None else tube, closely
+    tube = free_tubes(task, inputs) if tube is None else tube
+    if tube.margin is None:
+        tube = tube._replace(margin=margin.constant(np.full(len(a), -np.inf)))
+    return PROVE, inputs, a, b, tube, closely
 
 
-def free_tubes(task: Task, inputs: LaneInputs) -> motion_proof.Tube:
-    """Return tubes without conditions on the TCP or the task."""
-    count = len(inputs.row)
-    rows = ()
+def free_tubes(task: Task, inputs: LaneInputs, margin_m: Float[np.ndarray, "n"] | None = None) -> motion_proof.Tube:
+    """Return tubes without conditions on the TCP or the task.
+
+    Args:
+        task: The task.
+        inputs: Scenario and target of each path.
+        margin_m: Required clearance on each path [m]; None, or -inf: only D > 0.
+    """
+    count, rows = len(inputs.row), (None, None)
+    required = margin.constant(np.full(count, -np.inf) if margin_m is None else margin_m)
     if task.parts != TCP_POSITION.parts:
         rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
-    return motion_proof.Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows)
+    return motion_proof.Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows, required)

@@ -1,6 +1,8 @@
 """Joining two configurations of an arm by a joint path that is proven clear, for many pairs at once.
 
-The task is not enforced: the TCP may be anywhere. For each pair two trees of configurations grow, one from each end,
+The task is not enforced: the TCP may be anywhere. The path has the clearance `Scenario.transfer_margin_m`, less near
+its ends (`clearance.proof.margin`). If none is found, SHARES of this clearance are tried, and finally D > 0. For each
+pair two trees of configurations grow, one from each end,
 until they meet:
 
     straight   prove the straight joint path between the ends; if this succeeds, the search is done
@@ -18,15 +20,17 @@ seed and the numbers of scenario and pair: a result does not depend on which pai
 """
 
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof import motion_proof
+from htcp_jax.clearance.proof import margin, motion_proof
+from htcp_jax.device import tables
 from htcp_jax.model import Scenario
-from htcp_jax.motion.collision_checker import CollisionChecker
+from htcp_jax.motion.collision_checker import CollisionChecker, free_tubes
 from htcp_jax.motion.configurations import NO_PARENT, Tree
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.settings import Settings
@@ -37,6 +41,8 @@ DRAWS = 16  # number of samples per round, and of shortcuts per round
 LONGEST_RAD, SHORTEST_RAD = 4.0, 0.125  # range of sampled lengths, log-uniform
 FINEST_RAD = 0.02  # finest subdivision of a shortcut's proof
 LEAST_RAD = 1e-6  # minimum saving of a shortcut, which is more than rounding
+SHARES = 1.0, 0.5, 0.2  # of the required clearance, tried one after the other
+MARGIN_ROUNDS = 30  # maximum number of sampling rounds with each of these
 
 
 class QueriedPaths(NamedTuple):
@@ -66,7 +72,8 @@ def join(
 ) -> list[Float[np.ndarray, "_ N"] | None]:
     """Return via points between the two configurations of each pair, without these configurations.
 
-    Every straight joint path from a through the via points to b is proven clear.
+    Every straight joint path from a through the via points to b is proven clear, by as much as SHARES allow of the
+    required clearance.
 
     Args:
         checker: Collision checker of the scene.
@@ -85,6 +92,49 @@ def join(
         The via points of each pair [rad or m]; an empty array if the straight joint path is clear. None if an end is
             not clear, if no path was found in `settings.search_rounds`, or if the pair was abandoned.
     """
+    via_points: list[np.ndarray | None] = [None] * len(a)
+    required = _required(checker, scenarios, scenario, a, b)
+    few = replace(settings, search_rounds=min(settings.search_rounds, MARGIN_ROUNDS))
+    tries = [(few, required.scaled(share)) for share in SHARES] if required is not None else []
+    for own_settings, own in [*tries, (settings, None)]:
+        joined = {scenario[k] for k, found in enumerate(via_points) if found is not None}
+        left = [k for k, found in enumerate(via_points) if found is None and not (soonest and scenario[k] in joined)]
+        if own is not None:
+            left = [k for k in left if own.most_m[k] > 0]
+        pairs = scenario[left], pair[left], a[left], b[left]
+        rules = None if own is None else tables.gather(own, np.array(left, int))
+        found = _joined(checker, scenarios, *pairs, own_settings, soonest, report, rules)
+        for k, points in zip(left, found, strict=True):
+            via_points[k] = points
+    return via_points
+
+
+def _required(
+    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> margin.Margin | None:
+    """Return the required clearance on each pair's path; None if no pair needs more than D > 0."""
+    most = scenarios.transfer_margin_m[scenario]
+    if not (most > 0).any():
+        return None
+    inputs = lane_inputs(scenarios, scenario, np.zeros_like(scenario))
+    ends = [checker.states(inputs, x) for x in (a, b)]
+    tcp, clearance = (np.stack([getattr(end, name) for end in ends], axis=1) for name in ("tcp", "clearance"))
+    return margin.falling_off(most, scenarios.transfer_falloff_m[scenario], tcp, clearance)
+
+
+def _joined(
+    checker: CollisionChecker,
+    scenarios: Scenario,
+    scenario: np.ndarray,
+    pair: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    settings: Settings,
+    soonest: bool,
+    report: Callable[[int], None],
+    required: margin.Margin | None,
+) -> list[np.ndarray | None]:
+    """Return via points for each pair, see `join`, with one required clearance; None: only D > 0."""
     via_points: list[np.ndarray | None] = [None] * len(a)
     waiting, limits = iter(range(len(a))), checker.executor.limits
     most = max(1, checker.executor.lanes // IN_FLIGHT)
@@ -114,18 +164,25 @@ def join(
         report(len(best) - known)
         queries = {k: paths for k, paths in queries.items() if may_be_soonest(k, paths.left)}
         searches = {k: searches[k] for k in queries}
-        answers = _answers(checker, scenarios, scenario, queries) if queries else {}
+        answers = _answers(checker, scenarios, scenario, queries, required) if queries else {}
 
 
 def _answers(
-    checker: CollisionChecker, scenarios: Scenario, scenario: np.ndarray, queries: dict[int, QueriedPaths]
+    checker: CollisionChecker,
+    scenarios: Scenario,
+    scenario: np.ndarray,
+    queries: dict[int, QueriedPaths],
+    required: margin.Margin | None,
 ) -> dict[int, np.ndarray]:
     """Return, for each search, True for the queried joint paths that are proven."""
     counts = [len(paths.a) for paths in queries.values()]
     own = np.repeat(scenario[list(queries)], counts)
     a, b, deepest = (np.concatenate([paths[k] for paths in queries.values()]) for k in range(3))
     inputs = lane_inputs(scenarios, own, np.zeros_like(own))
-    clear = checker.edges(inputs, a, b, deepest=deepest).verdict == SegmentStatus.VALID
+    tube = free_tubes(checker.task, inputs)
+    if required is not None:
+        tube = tube._replace(margin=tables.gather(required, np.repeat(list(queries), counts)))
+    clear = checker.edges(inputs, a, b, tube, deepest=deepest).verdict == SegmentStatus.VALID
     for end in (a, b):
         clear = checker.tip_free(inputs, end, clear)
     return dict(zip(queries, np.split(clear, np.cumsum(counts)[:-1]), strict=True))

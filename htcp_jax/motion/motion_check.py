@@ -1,9 +1,12 @@
 """Verification that plans are motions: they begin at the given start, the arm is proven clear, the tool is on its path.
 
-On the segment to a target of the path, the TCP must stay within `Settings.path_tolerance_m` of the line from the
-previous target, and advance along this line. If the arm changes its configuration on the segment, the TCP must stay
-within this distance of the previous target. On segments of the approach the TCP may leave the lines. Targets closer
-than `ONE_POINT_M` are one point.
+On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margin_m`, and the TCP must
+stay within `Settings.path_tolerance_m` of the line from the previous target, and advance along this line. If the arm
+changes its configuration on the segment, the TCP must stay within this distance of the previous target. On segments of
+the approach the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
+
+Before the path, the arm should have the clearance `Scenario.transfer_margin_m`, see `RequiredMargins`. A segment that
+is clear with less is a motion, too: its status is REDUCED_MARGIN.
 """
 
 from typing import NamedTuple
@@ -11,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof import bisection, motion_proof
+from htcp_jax.clearance.proof import bisection, margin, motion_proof
 from htcp_jax.device import tables
-from htcp_jax.model import ONE_POINT_M, TCP_POSITION
+from htcp_jax.model import ONE_POINT_M, TCP_POSITION, Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
-from htcp_jax.status import SegmentStatus
+from htcp_jax.status import MOTION, SegmentStatus
 
 KEPT = 0.5  # share of the clearance that must be proven on a segment
 TIGHT = 0.99  # this share for segments whose bound is tightened, see `tighten`
@@ -36,7 +39,7 @@ class StraightPaths(NamedTuple):
 
 
 def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
-    """Return the tubes in which the TCP must stay on some segments, with the task's goals on the path.
+    """Return the tubes in which the TCP must stay on some segments, with the task's goals and the margin on the path.
 
     A tube is unbounded on the approach, and if the task does not constrain the TCP's position.
 
@@ -49,28 +52,91 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
     scenarios, task = problem.scenarios, problem.task
     free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
     rows = _goals_at_ends(problem, scenario, target, turns)
+    required = margin.constant(segment_margins(scenarios, scenario, target))
     if free.all():
         return motion_proof.Tube(
-            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows
+            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows, required
         )
     ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # the last target ends the path
     a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in ends)
     a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    return motion_proof.Tube(a, np.where(turns[:, None], a, b), np.where(free, np.inf, problem.settings.tube_m), *rows)
+    radius = np.where(free, np.inf, problem.settings.tube_m)
+    return motion_proof.Tube(a, np.where(turns[:, None], a, b), radius, *rows, required)
+
+
+def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
+    """Return the required clearance on segments [m]; -inf where only D > 0 is required, as on the approach.
+
+    Args:
+        scenarios: Stacked scenarios.
+        scenario: Row of each segment's scenario (n,).
+        target: Target at each segment's end (n,).
+    """
+    least = scenarios.segment_margin_m[scenario]
+    return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
 
 
 def _goals_at_ends(
     problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
-) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[()]:
+) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[None, None]:
     """Return the task's goals at both ends of each segment, and True if they are required on the segment.
 
-    Goals are required on the path. The result is empty for the paper's task, which the tube alone enforces.
+    Goals are required on the path. The result is None for the paper's task, which the tube alone enforces.
     """
     if problem.task.parts == TCP_POSITION.parts:
-        return ()
+        return None, None
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
     return goals, target > scenarios.on_path[scenario]
+
+
+class RequiredMargins:
+    """Required clearance on the segments of plans, see `clearance.proof.margin`.
+
+    Two motions lead to the path: from the start to the first target, and from there to the path's first point.
+    `transfer_margin_m` falls off towards both ends of each.
+
+    Args:
+        problem: The problem.
+        plans: The plans.
+        reduced: True to require only the guaranteed clearance on segments whose status is REDUCED_MARGIN.
+    """
+
+    def __init__(self, problem: Problem, plans: Plans, reduced: bool = False):
+        self._scenarios, self._plans, self._reduced = problem.scenarios, plans, reduced
+        self._most = problem.scenarios.transfer_margin_m
+        if not (self._most > 0).any():
+            return
+        every = np.arange(len(plans.status))
+        start = problem.checkers[0].states(problem.inputs(every, 0), plans.start)
+        last = np.minimum(problem.scenarios.on_path, np.maximum(plans.tracked.sum(axis=1) - 1, 0))
+        self._tcp = np.stack([start.tcp, plans.tcp[:, 0], plans.tcp[every, last]], axis=1)
+        self._clearance = np.stack([start.clearance, plans.clearance[:, 0], plans.clearance[every, last]], axis=1)
+
+    def of(self, scenario: np.ndarray, target: np.ndarray) -> margin.Margin:
+        """Return the required clearance on segments.
+
+        Args:
+            scenario: Row of each segment's scenario (n,).
+            target: Target at each segment's end (n,).
+        """
+        found = margin.constant(segment_margins(self._scenarios, scenario, target))
+        before = self.before_path(scenario, target)
+        if not before.any():
+            return found
+        s, t = scenario[before], target[before]
+        ends = s[:, None], np.minimum(t, 1)[:, None] + np.arange(2)
+        falloff = self._scenarios.transfer_falloff_m[s]
+        rule = margin.falling_off(self._most[s], falloff, self._tcp[ends], self._clearance[ends])
+        if self._reduced:
+            least = margin.constant(self._plans.segment_clearance[s, t])
+            is_reduced = self._plans.segment_status[s, t] == SegmentStatus.REDUCED_MARGIN
+            rule = tables.scatter(rule, is_reduced, tables.gather(least, is_reduced))
+        return tables.scatter(found, before, rule)
+
+    def before_path(self, scenario: np.ndarray, target: np.ndarray) -> Bool[np.ndarray, "n"]:
+        """Return True for segments before the path on which more than D > 0 is required, if possible."""
+        return (target <= self._scenarios.on_path[scenario]) & (self._most[scenario] > 0)
 
 
 def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
@@ -93,7 +159,7 @@ def verify_motions(problem: Problem, plans: Plans) -> Plans:
     scenarios, plans = problem.scenarios, plans.with_own("segment_status", "segment_clearance")
     elsewhere = plans.tracked[:, 0] & np.any(plans.start != scenarios.x_home, axis=1) & ~scenarios.begins_anywhere
     plans.segment_status[elsewhere, 0] = SegmentStatus.WRONG_START
-    going = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere)
+    going, margins = np.flatnonzero(plans.tracked[:, 0] & ~elsewhere), RequiredMargins(problem, plans)
     for first in range(0, plans.status.shape[1], ROWS_AT_ONCE):
         block = np.zeros_like(plans.tracked)
         block[going, first : first + ROWS_AT_ONCE] = True
@@ -101,10 +167,10 @@ def verify_motions(problem: Problem, plans: Plans) -> Plans:
         if not block.any():
             break
         segments = segments_of(plans, block)
-        _write_verdicts(plans, segments, _proofs(problem, segments))
+        _write_verdicts(plans, segments, _proofs_with_margins(problem, segments, margins))
         last = min(first + ROWS_AT_ONCE, plans.status.shape[1]) - 1
         going = going[plans.executable[going, last]]
-    ended = np.logical_or.accumulate(plans.segment_status != SegmentStatus.VALID, axis=1)[:, :-1]
+    ended = np.logical_or.accumulate(~np.isin(plans.segment_status, MOTION), axis=1)[:, :-1]
     plans.segment_status[:, 1:][ended], plans.segment_clearance[:, 1:][ended] = SegmentStatus.NOT_CHECKED, np.nan
     if problem.task.sampled:
         along = np.arange(plans.segment_status.shape[1])[None, :] > scenarios.on_path[:, None]
@@ -146,7 +212,11 @@ def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> StraightPaths:
 
 
 def prove_segments(
-    problem: Problem, checker: CollisionChecker, segments: StraightPaths, kept: float = 0.0
+    problem: Problem,
+    checker: CollisionChecker,
+    segments: StraightPaths,
+    kept: float = 0.0,
+    margins: RequiredMargins | None = None,
 ) -> bisection.Proof:
     """Return one proof per straight joint path.
 
@@ -155,18 +225,37 @@ def prove_segments(
         checker: Collision checker of the scene.
         segments: The joint paths.
         kept: Share of the clearance that must be proven, see `CollisionChecker.edges`.
+        margins: Required clearance before the path; None: only D > 0.
     """
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
     tube = tubes(problem, segments.scenario, segments.target, segments.turns)
+    if margins is not None:
+        tube = tube._replace(margin=margins.of(segments.scenario, segments.target))
     return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)
 
 
-def _proofs(problem: Problem, segments: StraightPaths, kept: float = KEPT) -> bisection.Proof:
+def _proofs_with_margins(problem: Problem, segments: StraightPaths, margins: RequiredMargins) -> bisection.Proof:
+    """Return one proof per straight joint path; those with less than the margin have the verdict REDUCED_MARGIN."""
+    proofs = _proofs(problem, segments, margins=margins)
+    lacks = (proofs.verdict != SegmentStatus.VALID) & margins.before_path(segments.scenario, segments.target)
+    if not lacks.any():
+        return proofs
+    again = _proofs(problem, tables.gather(segments, lacks))
+    verdict = np.where(again.verdict == SegmentStatus.VALID, int(SegmentStatus.REDUCED_MARGIN), again.verdict)
+    return tables.scatter(proofs, lacks, again._replace(verdict=verdict))
+
+
+def _proofs(
+    problem: Problem, segments: StraightPaths, kept: float = KEPT, margins: RequiredMargins | None = None
+) -> bisection.Proof:
     """Return one proof per straight joint path, computed by all threads of the problem."""
 
     def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
         return tables.concatenate(
-            [prove_segments(problem, checker, part, kept) for part in tables.portions(tables.gather(segments, share))]
+            [
+                prove_segments(problem, checker, part, kept, margins)
+                for part in tables.portions(tables.gather(segments, share))
+            ]
         )
 
     return tables.interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
@@ -176,7 +265,8 @@ def _write_verdicts(plans: Plans, segments: StraightPaths, proofs: bisection.Pro
     """Write into the plans, per segment, the verdict of the first path not proven, and the least clearance of all."""
     s, t = segments.scenario, segments.target
     plans.segment_status[s, t], plans.segment_clearance[s, t] = SegmentStatus.VALID, np.inf
-    for k in np.flatnonzero(proofs.verdict != SegmentStatus.VALID)[::-1]:
+    moves = np.isin(proofs.verdict, MOTION)
+    for k in [*np.flatnonzero(moves & (proofs.verdict != SegmentStatus.VALID)), *np.flatnonzero(~moves)[::-1]]:
         plans.segment_status[s[k], t[k]] = proofs.verdict[k]
     np.minimum.at(plans.segment_clearance, (s, t), proofs.clearance)
-    plans.segment_clearance[plans.segment_status != SegmentStatus.VALID] = np.nan
+    plans.segment_clearance[~np.isin(plans.segment_status, MOTION)] = np.nan

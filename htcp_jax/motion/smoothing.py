@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.device import tables
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.motion.motion_check import StraightPaths, prove_segments
+from htcp_jax.motion.motion_check import RequiredMargins, StraightPaths, prove_segments
 from htcp_jax.motion.plans import Outcome, Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.sparse_columns import ViaPoints
@@ -124,10 +124,10 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """
     ends = plans.outcomes  # computed once for all scenarios
     going = np.flatnonzero(ends.executable).tolist()
-    paths = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going]
+    paths, margins = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going], RequiredMargins(problem, plans, True)
 
     def work(checker: CollisionChecker, share: slice) -> None:
-        smoothing, mine = Smoothing(problem, checker), paths[share]
+        smoothing, mine = Smoothing(problem, checker, margins), paths[share]
         for first in range(0, len(mine), TOGETHER):
             smoothing.run(mine[first : first + TOGETHER])
 
@@ -139,8 +139,8 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
 class Smoothing:
     """Smoothing of several paths together, round by round."""
 
-    def __init__(self, problem: Problem, checker: CollisionChecker):
-        self._problem, self._checker = problem, checker
+    def __init__(self, problem: Problem, checker: CollisionChecker, margins: RequiredMargins):
+        self._problem, self._checker, self._margins = problem, checker, margins
         settings, joints = problem.settings, problem.scenarios.x_start.shape[1]
         self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
@@ -195,9 +195,8 @@ class Smoothing:
 
     def _step(self, path: SmoothedPath) -> Float[np.ndarray, "P N"]:
         """Return the step that the QP about the path's current iterate yields [rad or m]."""
-        settings, rows = self._problem.settings, path.seen.linear.clearance
-        aim = self._problem.scenarios.margin_m[path.scenario] + settings.aim_above_m
-        left = np.maximum(rows.distance - aim, 0.0)
+        rows = path.seen.linear.clearance
+        left = np.maximum(rows.distance - self._aims(path)[..., None], 0.0)
         A, G, left = self._task_limits(path, -rows.gradient, left)
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
@@ -208,6 +207,17 @@ class Smoothing:
                 path.begins_anywhere,
             )
         )  # fmt: skip
+
+    def _aims(self, path: SmoothedPath) -> Float[np.ndarray, "P 2"]:
+        """Return the clearance that bodies may not go below at each configuration and half way to it [m].
+
+        Before the path it is `transfer_margin_m`, so that bodies that are nearer do not come still nearer.
+        """
+        scenarios, above = self._problem.scenarios, self._problem.settings.aim_above_m
+        own, transfer = scenarios.margin_m[path.scenario] + above, scenarios.transfer_margin_m[path.scenario]
+        before = path.target <= path.on_path
+        before = np.stack([before & (path.is_via_point | (path.target < path.on_path)), before], axis=1)
+        return np.where(before & (transfer > 0), np.maximum(own, transfer + above), own)
 
     def _task_limits(
         self, path: SmoothedPath, G: np.ndarray, left: np.ndarray
@@ -304,7 +314,7 @@ class Smoothing:
 
     def _motions(self, segments: StraightPaths, most_queries: int | None = None) -> Bool[np.ndarray, "n"]:
         """Return True for joint paths that are proven in at most `most_queries` clearance queries."""
-        proofs = prove_segments(self._problem, self._checker, segments)
+        proofs = prove_segments(self._problem, self._checker, segments, margins=self._margins)
         few = True if most_queries is None else proofs.queries <= most_queries
         return (proofs.verdict == SegmentStatus.VALID) & few
 

@@ -13,8 +13,11 @@ from htcp_jax.system import files as io_files
 # Keys that are not part of a run's identity: methods may be added, Ray does not affect results, timing comes later.
 NO_IDENTITY = "method", "program", "ray"
 # Keys that are missing in manifests from older versions, with the values that these versions used. Such manifests also
-# contain no models except the robot's.
+# contain no models except the robot's. The first column is the section, or None for a key outside of sections.
 NEW_KEYS = (
+    (None, "margin_on", "targets"),
+    (None, "transfer_margin_m", 0.0),
+    (None, "transfer_falloff_m", 0.05),
     ("cell", "fixtures", None),
     ("robot", "locked", None),
     ("robot", "parent", "world"),
@@ -72,7 +75,8 @@ def recorded_config(values: dict, file: Path) -> PlanConfig:
         InputError: If the values are not a valid configuration in this version.
     """
     try:
-        return strict_model.validate_model(values, PlanConfig, file.name)
+        known = {key: absent for section, key, absent in NEW_KEYS if section is None}
+        return strict_model.validate_model(known | values, PlanConfig, file.name)
     except InputError as error:
         raise other_format(file.parent, str(error).partition(";")[0]) from None
 
@@ -118,8 +122,10 @@ def _identifying(config: dict) -> dict:
         if section in sections and sections[section].get("model") is None:
             del config[section]
     for section, key, absent in NEW_KEYS:
-        if section in sections and (sections[section].get(key) or None) in (None, absent):
-            config[section] = {name: value for name, value in config[section].items() if name != key}
+        own = config if section is None else config.get(section)
+        if isinstance(own, dict) and (own.get(key) or None) in (None, absent):
+            own = {name: value for name, value in own.items() if name != key}
+            config = own if section is None else {**config, section: own}
     return config
 
 

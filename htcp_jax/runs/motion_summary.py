@@ -30,16 +30,16 @@ class MotionSummary(NamedTuple):
     transfer_legs: int  # number of straight joint paths in the transfer; 0 if there is no transfer
     after_transfer_m: float  # guaranteed clearance along the motion without the transfer
     after_transfer_target: int | None  # target at the end of the segment with this clearance
+    on_path: int  # index of the first target on the path
 
     def facts(self) -> dict[str, str]:
         """Return text by label: the executable part, why it ends, guaranteed clearance, transfer and dwells."""
         end, there = self.end, self._can_be_run()
         if not end.executable:
             return {"can be run": there}
-        least = f"{self.proven}; minimum on the segment to target {self.clearance_target}"
+        least = f"{self.proven}; minimum on the segment to target {self.clearance_target} ({self.phase.words})"
         if self.transfer_legs and self.clearance_target == 0 and self.after_transfer_target is not None:
-            own = f"{_at_least(self.after_transfer_m)}; minimum on the segment to target {self.after_transfer_target}"
-            least = f"{own}; in the transfer {self.proven}"
+            least += f"; {_at_least(self.after_transfer_m)} after the transfer"
         return {"can be run": there, "guaranteed clearance": least, **self._transfer(), **self._dwells()}
 
     def _can_be_run(self) -> str:
@@ -74,6 +74,13 @@ class MotionSummary(NamedTuple):
         return ({} if self.dwells else {"dwells": none}) | {"smoothness": self._smoothness()}
 
     @property
+    def phase(self) -> Kind:
+        """Kind of the motion with the guaranteed clearance."""
+        if self.transfer_legs and self.clearance_target == 0:
+            return Kind.TRANSFER
+        return Kind.APPROACH if (self.clearance_target or 0) <= self.on_path else Kind.PROCESS
+
+    @property
     def proven(self) -> str:
         """The guaranteed clearance as text, such as "at least 3.6 mm"."""
         return _at_least(self.clearance_m)
@@ -89,7 +96,8 @@ class MotionSummary(NamedTuple):
     def record(self) -> dict[str, Any]:
         """Return the summary as a mapping for JSON."""
         end, figures = self.end, self._asdict()
-        del figures["end"], figures["after_transfer_m"], figures["after_transfer_target"]
+        for name in ("end", "after_transfer_m", "after_transfer_target", "on_path"):
+            del figures[name]
         return {"executable": end.executable, "segment_status": end.segment_status.name, **figures}
 
 
@@ -127,6 +135,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         transfer_legs=max(0, len(transfer) - 1),
         after_transfer_m=float(after_m),
         after_transfer_target=None if after < 0 else int(after),
+        on_path=on_path,
     )
 
 

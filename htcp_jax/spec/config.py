@@ -367,6 +367,9 @@ class ProgramConfig(strict_model.FileSection):
     jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: by full_acceleration_s
     full_speed_s: Moment = 0.2  # time to reach the velocity limit, without acceleration limits
     full_acceleration_s: Moment = 0.1  # time to reach the acceleration limit, without jerk limits
+    # before and after the path, largest share of full joint speed where the part is nearer than near_part_m
+    near_part_speed: float = Field(1.0, ge=0.001, le=1)  # [1]
+    near_part_m: float = Field(0.02, ge=0, le=10)
     tool: int = Field(0, ge=0, le=63)  # number of the tool in the controller
     tool_name: str | None = Field(None, min_length=1)  # name of the tool data, for rapid; None: tool<number>
     # for rapid: axes whose value is the sum of their own joint and another joint, such as {joint_3: joint_2}
@@ -406,7 +409,11 @@ class PlanConfig(strict_model.FileSection):
     start_rad: StartAngles = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # auto: the planner chooses a start on the path
     home_rad: tuple[Number, ...] | None = None  # first configuration of the motion; None: the start
     task: tuple[Row, ...] = ()  # rows of the task; empty: the TCP on the path
-    margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance at a target
+    margin_m: float = Field(5e-4, ge=0, le=1)  # required clearance
+    margin_on: Literal["segments", "targets"] = "segments"  # segments: also between targets, where targets needs D > 0
+    transfer_margin_m: float = Field(5e-3, ge=0, le=1)  # required clearance before the path, if possible; 0: D > 0
+    # distance of the TCP from either end of a transfer or approach within which transfer_margin_m falls off
+    transfer_falloff_m: float = Field(0.05, ge=1e-6, le=10)
     method: str = "beam"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
@@ -416,6 +423,11 @@ class PlanConfig(strict_model.FileSection):
     @classmethod
     def _own_defaults(cls, raw: Any) -> Any:
         return merged((own_defaults(raw), raw)) if isinstance(raw, dict) else raw
+
+    @property
+    def segment_margin_m(self) -> float:
+        """Required clearance on the segments of the path [m]; 0: only D > 0."""
+        return self.margin_m if self.margin_on == "segments" else 0.0
 
     @property
     def has_own_arm(self) -> bool:

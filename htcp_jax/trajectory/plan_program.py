@@ -29,6 +29,7 @@ from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
 from htcp_jax.trajectory.limits_file import limits_of_job
+from htcp_jax.trajectory.near_part import near_part_speeds
 from htcp_jax.trajectory.program import Program, time_motion
 from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -315,7 +316,8 @@ def timed_plan(
     if goals is not None:
         left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
     at = plans.x[scenario], plans.target[scenario] if goals is None else goals
-    return PlanProgram(time_motion(robot, whole, left, limits, feed_m_s), robot, job, limits, method, *at)
+    made = time_motion(robot, whole, left, limits, feed_m_s, near_part_speeds(job))
+    return PlanProgram(made, robot, job, limits, method, *at)
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:

@@ -20,6 +20,7 @@ from htcp_jax.motion import Motion
 from htcp_jax.trajectory.blends import MotionSlack, blends
 from htcp_jax.trajectory.curve import Blend
 from htcp_jax.trajectory.limits import MotionLimits
+from htcp_jax.trajectory.near_part import ShareOfSpeed
 from htcp_jax.trajectory.path import path_of_blend
 from htcp_jax.trajectory.time_scaling import TimeScaling, instants, time_scaling
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -134,7 +135,14 @@ class Program(NamedTuple):
         return found
 
 
-def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> Program:
+def time_motion(
+    robot: Robot,
+    motion: Motion,
+    left: MotionSlack,
+    limits: MotionLimits,
+    feed_m_s: float,
+    near_part: ShareOfSpeed | None = None,
+) -> Program:
     """Return the fastest program of a motion within the feed rate and the limits.
 
     Args:
@@ -143,6 +151,7 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
         left: Slack of the motion's proof at each leg.
         limits: Limits of the joints.
         feed_m_s: Feed rate of the TCP on the path.
+        near_part: Lower speed near the part, see `near_part_speeds`; None: full speed.
 
     Raises:
         InputError: If the feed rate is not above 0, or if the motion would take longer than LONGEST_S.
@@ -156,14 +165,12 @@ def time_motion(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionL
         raise NothingToTimeError("the arm does not move in this motion, so there is nothing to time")
     slowest = _slowest_limit(robot, motion, limits)
     parts = blends(robot, motion, left, limits, feed_m_s)
-    paths = [path_of_blend(robot, part) for part in parts]
+    paths, free = [path_of_blend(robot, part) for part in parts], near_part or (lambda path: np.inf)
     length = sum(float(path.place[-1]) for path, part in zip(paths, parts, strict=True) if part.on_process)
     if not length / feed_m_s <= LONGEST_S:
         raise InputError(f"{_too_long(length / feed_m_s)}: the feed is {1e3 * feed_m_s:g} mm/s; choose a higher feed")
-    scalings = [
-        time_scaling(path, limits, feed_m_s if part.on_process else np.inf)
-        for path, part in zip(paths, parts, strict=True)
-    ]
+    feeds = [feed_m_s if part.on_process else free(path) for part, path in zip(parts, paths, strict=True)]
+    scalings = [time_scaling(path, limits, feed) for path, feed in zip(paths, feeds, strict=True)]
     made = Program(motion, parts, scalings, robot.joint_names, feed_m_s)
     if not made.duration_s <= LONGEST_S:
         raise InputError(f"{_too_long(made.duration_s)}: {slowest}")

@@ -40,6 +40,7 @@ BLOCK = 64  # number of scenarios per write and torque computation, limited by m
 EACH_PAYS, MOST = 128, 16  # number of scenarios that justify one more process; maximum number of processes
 PART = 4  # number of scenarios per work unit of a process
 LIMITS = "velocity", "acceleration", "jerk", "full_speed_s", "full_acceleration_s"  # keys of `program`
+NEAR_PART = "near_part_m", "near_part_speed"  # more keys, if programs are slower near the part
 
 
 class _TimingSettings(NamedTuple):
@@ -171,6 +172,8 @@ class _Timer:
         """The timing settings as a `Timing` without rows."""
         job = with_program(self.found.config, self.requested.overrides)
         limits = {key: job.program.model_dump(mode="json")[key] for key in LIMITS}
+        if job.program.near_part_speed < 1:
+            limits |= {key: getattr(job.program, key) for key in NEAR_PART}
         if (stated := self._limits_in_file(job)) is not None:
             limits |= {
                 kind: Path(stated.file).name

@@ -67,14 +67,14 @@ class TimeScaling(NamedTuple):
         return found
 
 
-def time_scaling(path: PathCurve, limits: MotionLimits, feed: float = np.inf) -> TimeScaling:
+def time_scaling(path: PathCurve, limits: MotionLimits, feed: float | Float[np.ndarray, "m"] = np.inf) -> TimeScaling:
     """Compute the time scaling of a section.
 
     Args:
         path: The section over s.
         limits: Limits of the joints.
         feed: Desired and maximum speed [m/s]. If the tool does not follow the path, the speed has no unit, and 1 is the
-            full speed of the limiting joint.
+            full speed of the limiting joint. One value, or one per position of the path's grid.
     """
     whole = limits
     limits = MotionLimits(*(share * part for share, part in zip(RESERVE, limits, strict=True)))
@@ -118,7 +118,7 @@ def instants(scaling: SpeedProfile) -> Float[np.ndarray, "n"]:
     return np.sort(np.concatenate([even, passed, scaling.jumps()]))
 
 
-def _speed_limits(path: PathCurve, limits: MotionLimits, feed: float) -> _SpeedLimits:
+def _speed_limits(path: PathCurve, limits: MotionLimits, feed: float | np.ndarray) -> _SpeedLimits:
     """Return the limits in closed form at every position of the grid."""
     _, first, second, third = (np.maximum(np.abs(part), 1e-300) for part in path.at(path.place))
     with np.errstate(over="ignore"):  # infinite: no limit

@@ -56,7 +56,9 @@ class TrackCheck(NamedTuple):
     refuted: list[Refutation]
     leads_to: Int[np.ndarray, "m"]  # target at the end of the segment
     touches: Bool[np.ndarray, "m"] | None
-    clearance_between: Float[np.ndarray, "m"] | None  # minimum [m]; inf if it is larger than at all targets
+    clearance_between: (
+        Float[np.ndarray, "m"] | None
+    )  # minimum [m]; inf if it is larger than at all targets and margin_m
     deviation: Float[np.ndarray, "m"] | None
     speed: Float[np.ndarray, "m N"]  # joint speed / limit at a feed rate of 1 m/s; 0 if targets coincide
     in_place: Float[np.ndarray, "m"]  # largest joint change if targets coincide [rad or m]
@@ -119,14 +121,15 @@ def check(
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to the first target begins at home
     sampled = track.claimed[paths.target] if only_claimed else np.ones(len(paths.target), bool)
-    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, on_path, progress)
+    least = max(0.0, float(at.clearance.min()), track.config.segment_margin_m)
+    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, on_path, least, progress)
     on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
     reasons = (
         *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
         *_on_start(arm, track, at.clearance[0]),
         *_on_via_points(arm, track, paths),
-        *_on_segments(track, paths, between_rows),
+        *_on_segments(track, paths, between_rows, on_path),
         *_on_joint_steps(arm, track, paths, on_path),
         *_on_rows(rows_hold, on),
         *_on_rows_between(results, arm, track, scene, paths, between, on_path),
@@ -312,8 +315,11 @@ def _on_via_points(arm: MujocoArm, track: Track, paths: JointPaths) -> Iterator[
             yield target, "the shares of its via points do not increase from 0 to 1"
 
 
-def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list[tuple[int, str]]:
-    """Return the targets of segments that are saved as proven motions, but collide or leave the path."""
+def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any], on_path: int) -> list[tuple[int, str]]:
+    """Return the targets of segments that are saved as proven motions, but collide, leave the path or lack the margin.
+
+    A clearance on the path may be RECORD_M less than the margin.
+    """
     if found["touches"] is None:
         return []
     proven, reasons = track.proven[paths.target], {}
@@ -326,6 +332,11 @@ def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any]) -> list
     for k in np.flatnonzero(proven & ~(found["clearance_between"] >= guaranteed - RECORD_M)).tolist():
         short = f"{1e3 * found['clearance_between'][k]:.3f} mm on the segment, {1e3 * guaranteed[k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the clearance is {short} are recorded as guaranteed")
+    least_m, near_m = track.config.segment_margin_m, found["clearance_between"]
+    near = (least_m > 0) & proven & (paths.target > on_path) & ~(near_m >= least_m - RECORD_M)
+    for k in np.flatnonzero(near).tolist():
+        nearest = f"{1e3 * near_m[k]:.3f} mm, less than margin_m"
+        reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but has a clearance of {nearest}")
     for k in np.flatnonzero(away).tolist():
         off = f"{1e3 * found['deviation'][k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but leaves its path by {off}")
@@ -354,11 +365,12 @@ def _check_paths(
     between: int,
     step_rad: float,
     on_path: int,
+    least_m: float,
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Return collision, minimum clearance and path deviation of each sampled joint path, as fields of `TrackCheck`.
 
-    A clearance is inf if it is larger than at all targets. The path deviation is the TCP's distance from its line; it
+    A clearance is inf if it is larger than `least_m`. The path deviation is the TCP's distance from its line; it
     is 0 up to the path's first point, target `on_path`, because the approach may deviate.
     """
     if not between:
@@ -372,7 +384,7 @@ def _check_paths(
     for first in range(0, len(every_path), SAMPLES):
         progress(first / len(every_path))
         path, x = every_path[first : first + SAMPLES], every_x[first : first + SAMPLES]
-        arm_poses, clearance = scene.between(x, paths.row[path], at, max(0.0, float(at.clearance.min())))
+        arm_poses, clearance = scene.between(x, paths.row[path], at, least_m)
         np.minimum.at(least, path, clearance)
         off = np.where(
             paths.target[path] > on_path, from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0

@@ -2,8 +2,8 @@
 
 Each module begins with the inequality that it implements. `motion_proof` proves or refutes that a straight joint path
 is clear; its `Tube` is the region in which the TCP must stay. `motion_bound` bounds how far points of the arm move.
-`bisection` has the result, a `Proof` with a `PathVerdict`, and the state of a search in progress, `Bisection`.
-`known_rows` bounds distances by those measured at other configurations.
+`margin` is the clearance that a proof requires. `bisection` has the result, a `Proof` with a `PathVerdict`, and the
+state of a search in progress, `Bisection`. `known_rows` bounds distances by those measured at other configurations.
 
 `row_proof` proves that a path satisfies the task's rows. `exclusion` proves, from the tool's bodies, that no
 configuration with the tool's orientation in a given cell is clear; it and `branch_exclusion` use the rest

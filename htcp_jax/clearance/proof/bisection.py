@@ -23,6 +23,7 @@ class PathVerdict(enum.IntEnum):
     OFF_PATH = 2  # refuted: the TCP leaves its tube, or a row of the task is violated
     REVERSES = 3  # refuted: the TCP moves backwards along its line
     UNDECIDED = 4  # neither proven nor refuted
+    BELOW_MARGIN = 7  # refuted: a body is nearer than the required clearance
 
 
 class Proof(NamedTuple):

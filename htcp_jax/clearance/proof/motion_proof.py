@@ -11,7 +11,8 @@ The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-
 
 As the distance to a line is convex, the ends of the straight piece p(m) +- h p'(m) bound the distance on the piece.
 
-The task's other rows are bounded in the same way, see `row_proof`.
+The task's other rows are bounded in the same way, see `row_proof`. The clearance must be at least the tube's margin,
+which may depend on the TCP's position, see `margin`.
 """
 
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.known_rows import KnownRows
+from htcp_jax.clearance.proof.margin import Margin
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.numerics import capsule_point_distance, product, safe_norm
@@ -40,6 +42,7 @@ class Tube(NamedTuple):
     """Allowed region of the TCP: within `radius` of the line from `start` to `end`, along which it only advances.
 
     If start and end are one point, the TCP may move in any direction. With an infinite radius the TCP may be anywhere.
+    In the tube, the arm must have the clearance `margin`.
     """
 
     start: Vector3  # world [m]
@@ -47,6 +50,7 @@ class Tube(NamedTuple):
     radius: Scalar  # [m]
     goals: Float[Array, "2 G"] | None = None  # goals of the task at both targets; None: the paper's task
     required: Bool[Array, ""] | None = None  # True: the goals are required on all of the segment
+    margin: Margin | None = None  # required clearance; None: only D > 0
 
 
 def query_on(
@@ -62,8 +66,8 @@ def query_on(
     """Return a function that checks the next interval of the bisection of a straight joint path.
 
     Repeated from `initial_state()` as long as the bisection is going, it proves or refutes that the path is clear, and
-    that the TCP stays in the tube, if any. Its second argument and result are rows measured before, see `known_rows`;
-    with None, all rows are measured in every interval. They do not change the proof.
+    that the TCP stays in the tube, if any, with the tube's margin. Its second argument and result are rows
+    measured before, see `known_rows`; with None, all rows are measured in every interval. They do not change the proof.
 
     Args:
         scene: The scene.
@@ -71,10 +75,11 @@ def query_on(
         a: Start of the path [rad or m].
         b: End of the path [rad or m].
         tube: Allowed region of the TCP; None: anywhere.
-        resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations.
+        resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations. A
+            larger clearance is proven where the tube's margin requires it.
         deepest: Maximum number of halvings. With fewer halvings, more paths near obstacles remain undecided.
         kept: Share of D at an interval's middle that must be proven on all of the interval. Otherwise the interval is
-            halved further, up to KEPT_DEPTH times. With 0, the recorded clearance is -resolution_m.
+            halved further, up to KEPT_DEPTH times. With 0, the recorded clearance is the required one.
     """
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
@@ -95,10 +100,17 @@ def query_on(
             out = jnp.any(rows.broken) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
+        least, at_middle = -resolution_m, -jnp.inf
+        if tube is not None and tube.margin is not None:
+            p, v, bend = tcp_sweep(scene.robot, x, b - a, half)
+            at_middle, travel = tube.margin.at(p), half * safe_norm(v) + 0.5 * bend * half * half + ROUNDING_M
+            least = jnp.maximum(least, tube.margin.at(p, travel))
         there, known = on_interval(
-            scene.robot, scene.obstacles, where, x, b - a, half, -resolution_m, kept, keeps, going_on, known
+            scene.robot, scene.obstacles, where, x, b - a, half, least, kept, keeps, going_on, known
         )
         proven = stays & there.proven
+        nearer = (broken == PathVerdict.VALID) & (there.middle < at_middle - ROUNDING_M)
+        broken = jnp.where(nearer, int(PathVerdict.BELOW_MARGIN), broken)
         verdict = jnp.where(there.middle <= 0, int(PathVerdict.IN_COLLISION), broken)
         verdict = jnp.where(
             (verdict == PathVerdict.VALID) & ~proven & (depth >= deepest), int(PathVerdict.UNDECIDED), verdict

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, step_functions
+from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, motion_check, step_functions
 from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
@@ -62,7 +62,8 @@ class LaneChecks:
     def path_clear(self, lanes: Lanes, x: np.ndarray, requested: bool) -> np.ndarray:
         """Return 1 for each clear joint path from a lane's last target to x, 0 for a blocked one; -1 if not requested.
 
-        A path on which a joint moves too far is not clear, see `Scenario.max_joint_step`.
+        A path on which a joint moves too far is not clear, see `Scenario.max_joint_step`, nor is one of a segment on
+        which the arm has less clearance than `Scenario.segment_margin_m`.
 
         Args:
             lanes: The lanes.
@@ -73,4 +74,5 @@ class LaneChecks:
         near = True if most is None else (np.abs(x - lanes.x_previous) <= most).all(axis=1)
         if not (requested and len(x)):
             return np.where(near, np.full(len(x), -1), 0).astype(np.int8)
-        return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x)).astype(np.int8)
+        margin_m = motion_check.segment_margins(self._scenarios, lanes.scenario, lanes.target)
+        return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x, margin_m)).astype(np.int8)
