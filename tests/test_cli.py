@@ -1,13 +1,15 @@
 """Command line interface: exit codes, table, files, and one-line errors."""
 
 import csv
+import gc
+import importlib
 import json
 import re
 
 import numpy as np
 import pytest
 
-from htcp_jax.cli import main
+from htcp_jax.cli import main, plan
 from htcp_jax.cli.main import COMMANDS
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.planning import registry
@@ -122,6 +124,13 @@ def test_ctrl_c_leaves_nothing_behind(here, capsys):
         registry.METHODS._own.pop("interrupted")
     assert capsys.readouterr().err == f"htcp: {INTERRUPTED}\n"
     assert not (here / "out").exists()
+
+
+def test_garbage_is_collected_only_after_matplotlib_is_loaded(monkeypatch):
+    seen = []
+    monkeypatch.setattr(importlib, "import_module", lambda _: seen.append(gc.isenabled()))
+    plan.load_matplotlib().join()
+    assert seen == [False] * len(plan.MATPLOTLIB) and gc.isenabled()
 
 
 def test_help_and_version_are_answers(capsys):

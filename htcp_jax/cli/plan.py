@@ -1,6 +1,7 @@
 """`htcp plan`: plan one job, print a table and write five files."""
 
 import contextlib
+import gc
 import hashlib
 import importlib
 import signal
@@ -85,7 +86,7 @@ def plan(
     """
     job = job_of(config, seeded(overrides or (), seed), method)
     claim_device(device)
-    threading.Thread(target=_load_matplotlib, daemon=True).start()
+    load_matplotlib()
     with _programs_preloaded(job, device):
         from htcp_jax import api  # imported here, as it imports JAX
         from htcp_jax.runs import plan_folder
@@ -124,10 +125,25 @@ def _programs_preloaded(job: PlanConfig, device: str | None) -> Iterator[None]:
     kept_executables.remember(name)
 
 
-def _load_matplotlib() -> None:
-    """Import matplotlib. Called in a thread during planning, as compiled code releases the interpreter's lock."""
-    for module in MATPLOTLIB:
-        importlib.import_module(module)
+def load_matplotlib() -> threading.Thread:
+    """Start a thread that imports matplotlib, as compiled code releases the interpreter's lock.
+
+    Until it ends, Python collects no garbage. A collection calls JAX, where the thread may lose its turn, and Python 3.11
+    counts the nesting of code that it parses for all threads together: if both threads were parsing, as imports of
+    lazy_loader and matplotlib do, one of them failed with a SystemError.
+    """
+
+    def load() -> None:
+        try:
+            for module in MATPLOTLIB:
+                importlib.import_module(module)
+        finally:
+            gc.enable()
+
+    gc.disable()
+    thread = threading.Thread(target=load, daemon=True)
+    thread.start()
+    return thread
 
 
 def job_of(config: Path | None, overrides: Sequence[str], method: str | None) -> PlanConfig:
