@@ -128,8 +128,8 @@ def _programs_preloaded(job: PlanConfig, device: str | None) -> Iterator[None]:
 def load_matplotlib() -> threading.Thread:
     """Start a thread that imports matplotlib, as compiled code releases the interpreter's lock.
 
-    Until it ends, Python collects no garbage. A collection calls JAX, where the thread may lose its turn, and Python 3.11
-    counts the nesting of code that it parses for all threads together: if both threads were parsing, as imports of
+    Until it ends, Python collects no garbage. A collection calls JAX, where the thread may lose its turn, and Python
+    3.11 counts the nesting of code that it parses for all threads together: if both threads were parsing, as imports of
     lazy_loader and matplotlib do, one of them failed with a SystemError.
     """
 
