@@ -127,7 +127,8 @@ def test_made_up_paths_come_out_as_from_end_to_end(capacity, width):
     bad = rng.uniform(-4, 1, (capacity, 3))
     # both halves are refuted, and the first one holds
     free_radius[::3], place[::3], bad[::3, :2] = 0.2, 0.9, (0.25, 0.75)
-    paths = free_radius, place, bad, rng.integers(1, 4, capacity)
+    kinds = [verdict for verdict in PathVerdict if verdict not in (PathVerdict.VALID, PathVerdict.UNDECIDED)]
+    paths = free_radius, place, bad, rng.choice(kinds, capacity)
     end_to_end, in_chunks = chunked(made_up, 1), by_chunks(made_up, width)
     for lanes in {1, capacity // 2 + 1, capacity}:
         expected = jax.tree.map(lambda rows, lanes=lanes: np.asarray(rows)[:lanes], end_to_end(None, lanes, *paths))

@@ -235,11 +235,9 @@ def test_a_motion_and_its_reverse_are_clear_together_but_one_of_them_turns_back(
 
 
 def test_the_verdicts_are_those_that_a_plan_records():
-    assert {one.name: one.value for one in PathVerdict} == {
-        segment_status.name: segment_status.value
-        for segment_status in SegmentStatus
-        if SegmentStatus.NOT_CHECKED < segment_status < 5
-    }
+    assert all(SegmentStatus[one.name] == one.value for one in PathVerdict)
+    own = {"NOT_CHECKED", "WRONG_START", "SAMPLED", "REDUCED_MARGIN"}
+    assert {status.name for status in SegmentStatus} - {one.name for one in PathVerdict} == own
 
 
 def test_another_engine_finds_nothing_that_touches_on_a_proven_motion():
