@@ -27,7 +27,7 @@ from small_motions import (
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.motion import CollisionChecker, ViaPoints, smoothing
-from htcp_jax.motion.motion_check import verify_motions
+from htcp_jax.motion.motion_check import RequiredMargins, verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.planning.batch import plan
 
@@ -154,7 +154,8 @@ def test_what_another_step_has_shown_is_not_computed_again(anywhere):
     for path in paths:
         path.begins_anywhere = anywhere
         path.x[0] = path.x[1] if anywhere else path.x[0]
-    smoother, rng = smoothing.Smoothing(problem, checker), np.random.default_rng(0)
+    margins = RequiredMargins(problem, plans, reduced=True)
+    smoother, rng = smoothing.Smoothing(problem, checker, margins), np.random.default_rng(0)
     smoother._look(paths)
     full = [
         np.where(rng.random((len(path.target), 1)) < 0.8, rng.normal(0, 4e-3, path.x[1:].shape), 0) for path in paths
