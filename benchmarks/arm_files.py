@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="folder that keeps the packages for the next run")
     parser.add_argument("--only", default="", help="try only arms whose package, maker, name or file contains this")
     parser.add_argument(
-        "--missing", action="store_true", help="try only arms that the record lacks, or has without times"
+        "--missing", action="store_true", help="try only arms that the record lacks, or has without shares by meshes"
     )
     parser.add_argument("--quick", action="store_true", help="without self-collision and times")
     parser.add_argument("--record", action="store_true", help="write benchmarks/arm_files.json")
@@ -81,7 +81,7 @@ def tried(work: Path, chosen: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for package, own in yaml.safe_load(LIST.read_text(encoding="utf-8")).items():
         folder = None
         for maker, name, tcp, file in own["arms"]:
-            is_known = known.get((package, file), {}).get("clear", "refused") is not None or chosen.quick
+            is_known = chosen.quick or {"refused", "clear_by_meshes"} & known.get((package, file), {}).keys()
             if chosen.only not in f"{package} {maker} {name} {file}" or ((package, file) in known and is_known):
                 continue
             folder = folder or unpacked(package, own.get("links", {}), work, own.get("folder", ""))
