@@ -4,7 +4,7 @@ J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and 
 """
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -208,17 +208,17 @@ class LinkMeshes:
                         return True
         return False
 
-    def touching_share(self, one: str, other: str, at: Poses) -> float:
-        """Return the share [1] of some poses in which two capsules' pieces overlap by more than TOUCHING_M.
+    def touching_share(self, pairs: Sequence[tuple[str, str]], at: Poses) -> float:
+        """Return the share [1] of some poses in which the pieces of a pair overlap by more than TOUCHING_M.
 
         Args:
-            one: Name of a capsule.
-            other: Name of another capsule.
+            pairs: Names of two capsules each.
             at: Poses of the bodies.
         """
         some = np.arange(len(at.position))[:: max(1, len(at.position) // SAMPLES)]
-        deep = (self.deepest_m(one, other, at, some[k : k + 1], robots.TOUCHING_M) for k in range(len(some)))
-        return float(np.mean([each > robots.TOUCHING_M for each in deep]))
+        touch_m = robots.TOUCHING_M
+        deep = (any(self.deepest_m(*pair, at, row, touch_m) > touch_m for pair in pairs) for row in some[:, None])
+        return float(np.mean(list(deep)))
 
     def _distance_m(self, one: str, other: str, at: Poses, k: int | np.integer) -> float:
         """Return the distance between two pieces [m]; minus the penetration depth if they overlap."""
