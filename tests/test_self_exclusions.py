@@ -148,6 +148,20 @@ def test_meshes_decide_on_links_that_are_not_adjacent_where_capsules_always_over
     assert listed.get(frozenset("ac")) == rule
 
 
+@pytest.mark.parametrize(("range_rad", "rule"), [(1.2, None), (0.5, "c")], ids=["some", "never"])
+def test_meshes_decide_on_a_pair_with_a_sphere_of_the_model(htcp, tmp_path, range_rad, rule):
+    """Regression: FCL states depths of 0 for triangles in a sphere. A Baxter's arm was not tested against its head.
+
+    The plate touches the sphere if it turns by more than 0.56 rad.
+    """
+    model = WRIST.replace('type="box" size="0.15 0.15 0.01"', 'size="0.1"').format(height=0.13, range=range_rad)
+    (tmp_path / "wrist.xml").write_text(model)
+    htcp("robot", tmp_path / "wrist.xml", "--out", tmp_path / "arm.xml", "--most", 1)
+    arm = load_robot(tmp_path / "arm.xml")
+    listed = {frozenset((arm.capsule_names[a], arm.capsule_names[b])): kind for a, b, kind, _ in arm.exclusions}
+    assert listed.get(frozenset("ac")) == rule
+
+
 PLATES = """<mujoco model="plates"><compiler angle="radian"/><worldbody>
   <body name="a"><joint axis="0 0 1" range="-1 1"/><geom type="box" size="0.2 0.2 0.01"/>
     <body name="b" pos="0 0 {height}"><joint axis="{axis}" range="-0.5 0.5"/><geom type="box" size="0.2 0.2 0.01"/>
