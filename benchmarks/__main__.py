@@ -24,6 +24,7 @@
     python -m benchmarks gpu               the cross sweep on a GPU, compared with the last tag; README's rows
     python -m benchmarks arm-files         arms in packages of PyPI, compared with Pinocchio and MuJoCo
     python -m benchmarks strangers         jobs on published arms, checked with their original meshes
+    python -m benchmarks missed-contacts   configurations of arms that are called clear, checked with the arms' meshes
     python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
@@ -58,6 +59,7 @@ CASES = (
     "gpu",
     "arm-files",
     "strangers",
+    "missed-contacts",
     "shape",
     "mutants",
 )

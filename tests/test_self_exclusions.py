@@ -148,6 +148,47 @@ def test_meshes_decide_on_links_that_are_not_adjacent_where_capsules_always_over
     assert listed.get(frozenset("ac")) == rule
 
 
+@pytest.mark.parametrize(("range_rad", "rule"), [(1.2, None), (0.5, "c")], ids=["some", "never"])
+def test_meshes_decide_on_a_pair_with_a_sphere_of_the_model(htcp, tmp_path, range_rad, rule):
+    """Regression: FCL states depths of 0 for triangles in a sphere. A Baxter's arm was not tested against its head.
+
+    The plate touches the sphere if it turns by more than 0.56 rad.
+    """
+    model = WRIST.replace('type="box" size="0.15 0.15 0.01"', 'size="0.1"').format(height=0.13, range=range_rad)
+    (tmp_path / "wrist.xml").write_text(model)
+    htcp("robot", tmp_path / "wrist.xml", "--out", tmp_path / "arm.xml", "--most", 1)
+    arm = load_robot(tmp_path / "arm.xml")
+    listed = {frozenset((arm.capsule_names[a], arm.capsule_names[b])): kind for a, b, kind, _ in arm.exclusions}
+    assert listed.get(frozenset("ac")) == rule
+
+
+PLATES = """<mujoco model="plates"><compiler angle="radian"/><worldbody>
+  <body name="a"><joint axis="0 0 1" range="-1 1"/><geom type="box" size="0.2 0.2 0.01"/>
+    <body name="b" pos="0 0 {height}"><joint axis="{axis}" range="-0.5 0.5"/><geom type="box" size="0.2 0.2 0.01"/>
+      <body name="c" pos="0 0 1"><joint axis="0 1 0" range="-1 1"/><geom size="0.02"/><site name="tcp" pos="0 0 0.05"/>
+  </body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("height", "axis", "always"), [(0.0, "0 0 1", True), (0.05, "1 0 0", False)], ids=["always", "some"]
+)
+def test_all_pieces_of_adjacent_links_are_excluded_if_the_meshes_of_some_overlap_in_every_configuration(
+    htcp, tmp_path, height, axis, always
+):
+    """Regression: the base of a KR 120 and the link in its bearing had five capsules each. No start was found.
+
+    The plates are covered by several capsules. The upper one turns in the lower one, or touches it if it tilts by 0.2.
+    """
+    (tmp_path / "plates.xml").write_text(PLATES.format(height=height, axis=axis))
+    htcp("robot", tmp_path / "plates.xml", "--out", tmp_path / "arm.xml", "--most", 4)
+    arm = load_robot(tmp_path / "arm.xml")
+    rule, link = {(a, b): rule for a, b, rule, _ in arm.exclusions}, arm.capsule_link
+    between = [(a, b) for a, b in candidates(arm) if (link[a], link[b]) == (1, 0)]
+    overlap, near = (each.mean(axis=0) for each in overlaps(arm, between, samples(arm)))
+    found = {rule.get(pair) for pair, share in zip(between, overlap, strict=True) if share}
+    assert found == {"b"} and near.min() < 0.9 if always else None in found
+
+
 def test_a_pair_that_is_always_nearer_than_any_margin_is_not_checked(tmp_path):
     """Regression: the UR5's wrist, whose capsules are 0.08 mm apart at every configuration, could not plan at all."""
     bodies = "".join(

@@ -69,6 +69,13 @@ def test_a_contact_between_two_rows_makes_a_motion_false(cell, chain, folder):
     assert found["places"] == stranger_check.PLACES and found["hits"] and not found["is_true"]
 
 
+def test_a_contact_in_a_configuration_that_is_called_clear_is_named(cell, folder):
+    """In the second configuration the third link crosses the first."""
+    (folder / "clear.csv").write_text("j1,j2,j3\n0,0.5,0\n0,2.9,1.8\n")
+    found = stranger_check.checked_clear(cell, folder / "clear.csv")
+    assert found == {"pairs": 1, "contacts": {"robot.one and robot.three": {"count": 1, "first": [0.0, 2.9, 1.8]}}}
+
+
 def test_a_hole_is_nowhere_narrower_than_stated():
     plate = stranger_parts.plate([0, 0, 0], 0.1, 0.02, 0.003)
     middles = plate.triangles_center[:, 1:]

@@ -46,10 +46,10 @@ def own_pairs(arm: MujocoArm, measured: Distances) -> OwnPairs:
     for pair in left:
         rule = stated.get(pair)
         always = near.get(pair, 0.0) >= (NEARLY if rule == "b" else ALWAYS)
-        telescopes = (
-            arm.slides(pair) and overlap[:, [arm.same_links(pair, each) for each in doubtful]].any(axis=1).mean()
+        joined = (arm.slides(pair) or (rule == "b" and arm.adjacent(pair))) and (
+            overlap[:, [arm.same_links(pair, each) for each in doubtful]].any(axis=1).mean()
         )
-        if always or rule == "a" or (not arm.is_tool(pair) and share.get(pair, 0.0) and telescopes >= ALWAYS):
+        if always or rule == "a" or (not arm.is_tool(pair) and share.get(pair, 0.0) and joined >= ALWAYS):
             found.excluded.append(pair)
         elif rule == "c":
             (found.by_mesh if arm.meshes else found.excluded).append(pair)

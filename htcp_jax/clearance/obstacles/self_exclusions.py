@@ -3,9 +3,11 @@
 Capsules are larger than links, so that some overlap in every configuration. A pair is excluded only if
 
 a  the model excludes it: an <exclude> of MJCF, a <disable_collisions> of SRDF; or
-b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits; or its
-   links are joined by a slide, as in a telescope, and some of their capsules overlap in at least 95 % of them. If the
-   links are not adjacent and there are the vendor's meshes, these must overlap by more than 1 mm as often; or
+b  it overlaps, or is within NEAR_M, in at least 95 % of 10,000 random configurations within the joint limits. If the
+   links are not adjacent and there are the vendor's meshes, these must overlap by more than 1 mm as often. Or it
+   overlaps in some of them, its links are adjacent, and some of their capsules overlap in at least 95 % of them: the
+   links are joined by a slide, as in a telescope, or the vendor's meshes overlap by more than 1 mm as often, as in a
+   bearing; or
 c  it overlaps in some of these configurations, but in none of them the vendor's meshes in the two capsules overlap by
    more than 1 mm. Without meshes this applies to adjacent links only.
 
@@ -15,6 +17,7 @@ d  the job excludes the fixture from tests against the link.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +41,7 @@ Samples = Float[np.ndarray, "n N"]
 Ends = Float[np.ndarray, "n K 3"]
 Indices = Int[np.ndarray, "m"]
 Touch = Callable[[tuple[int, int], Bool[np.ndarray, "n"]], bool]
-Share = Callable[[tuple[int, int]], float]
+Share = Callable[[Pairs], float]
 
 
 def candidates(robot: Robot) -> Pairs:
@@ -47,15 +50,15 @@ def candidates(robot: Robot) -> Pairs:
     return tuple((a, b) for a in bodies for b in bodies if link[a] > link[b])
 
 
-def samples(robot: Robot) -> Samples:
-    """Return random configurations, uniform within the joint limits [rad or m].
+def samples(robot: Robot, count: int = SAMPLES, seed: int = SEED) -> Samples:
+    """Return `count` random configurations, uniform within the joint limits [rad or m].
 
     Hinges without limits are sampled from -pi to pi, slides without limits from -SLIDE_M to SLIDE_M.
     """
     free = np.where(robot.sliding, SLIDE_M, np.pi)
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     lower, upper = np.where(np.isfinite(lower), lower, -free), np.where(np.isfinite(upper), upper, free)
-    return np.random.default_rng(SEED).uniform(lower, upper, (SAMPLES, len(lower)))
+    return np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
 
 
 def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
@@ -94,7 +97,8 @@ def find_exclusions(
         robot: The robot.
         touch: Function of a pair and of a mask of the `samples` that returns True if the vendor's meshes in the two
             capsules touch in any of the marked samples. None: there are no meshes.
-        touching_share: Function of a pair that returns the share of the `samples` in which these meshes touch [1].
+        touching_share: Function of pairs that returns the share of the `samples` in which the meshes of at least one of
+            them touch [1].
     """
     stated = {(each.first, each.second) for each in robot.exclusions}
     pairs = [pair for pair in candidates(robot) if pair not in stated]
@@ -105,32 +109,35 @@ def find_exclusions(
         return ()
     overlap, is_near = overlaps(robot, pairs, samples(robot))
     near, found = is_near.mean(axis=0).tolist(), []
+
+    @cache
+    def always_touch(links: tuple[int, ...]) -> bool:
+        same = [k for k, pair in enumerate(pairs) if _links(robot, pair) == links and overlap[:, k].any()]
+        if overlap[:, same].any(axis=1).mean() < ALWAYS:
+            return False
+        return robot.slides[links[0]] or bool(
+            touching_share and touching_share(tuple(pairs[k] for k in same)) >= ALWAYS
+        )
+
     for k, (pair, share) in enumerate(zip(pairs, overlap.mean(axis=0).tolist(), strict=True)):
-        own = not set(pair) & set(robot.mounted)
+        own, adjacent = not set(pair) & set(robot.mounted), _adjacent(robot, pair)
         always = near[k] >= ALWAYS
-        if always and touching_share and own and share and not _adjacent(robot, pair):
-            always = touching_share(pair) >= ALWAYS
-        if always or (own and share and _telescopes(robot, pairs, overlap, pair)):
+        if always and touching_share and own and share and not adjacent:
+            always = touching_share((pair,)) >= ALWAYS
+        if always or (own and share and adjacent and always_touch(_links(robot, pair))):
             found.append(robots.Exclusion(*pair, "b", near[k] if always else share))
-        elif own and share and (_adjacent(robot, pair) if touch is None else not touch(pair, overlap[:, k])):
+        elif own and share and (adjacent if touch is None else not touch(pair, overlap[:, k])):
             found.append(robots.Exclusion(*pair, "c", share))
     return tuple(found)
 
 
+def _links(robot: Robot, pair: tuple[int, int]) -> tuple[int, ...]:
+    return tuple(robot.capsule_link[k] for k in pair)
+
+
 def _adjacent(robot: Robot, pair: tuple[int, int]) -> bool:
-    first, second = (robot.capsule_link[k] for k in pair)
+    first, second = _links(robot, pair)
     return first >= 0 and robot.parents[first] == second
-
-
-def _telescopes(
-    robot: Robot, pairs: Sequence[tuple[int, int]], overlap: Bool[np.ndarray, "n R"], pair: tuple[int, int]
-) -> bool:
-    """Return True if a slide joins the links of a pair, and some of their capsules overlap in ALWAYS of the samples."""
-    links = tuple(robot.capsule_link[k] for k in pair)
-    if not (_adjacent(robot, pair) and robot.slides[links[0]]):
-        return False
-    same = [tuple(robot.capsule_link[k] for k in each) == links for each in pairs]
-    return bool(overlap[:, same].any(axis=1).mean() >= ALWAYS)
 
 
 @jax.jit

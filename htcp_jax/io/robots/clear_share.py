@@ -168,11 +168,11 @@ def _checked(arm: ImportedArm, made: Robot, known: dict, progress: Callable[[int
             near[one, other] = overlap[:SAMPLES]
         return known[key]
 
-    def touching_share(pair: tuple[int, int]) -> float:
-        one, other = (names[k] for k in pair)
-        key = "share", pieces.get(one, one), pieces.get(other, other)
+    def touching_share(pairs: self_exclusions.Pairs) -> float:
+        named = [(names[a], names[b]) for a, b in pairs]
+        key = "share", *((pieces.get(one, one), pieces.get(other, other)) for one, other in named)
         if key not in known:
-            known[key] = meshes.touching_share(one, other, at)
+            known[key] = meshes.touching_share(named, at)
         return known[key]
 
     found = self_exclusions.find_exclusions(made, touch, touching_share)

@@ -4,7 +4,7 @@ J. Pan, S. Chitta, D. Manocha: FCL: A General Purpose Library for Collision and 
 """
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +34,7 @@ VISUAL = " --visual"  # suffix of the text MADE_FROM if the capsules enclose vis
 MOST_CONTACTS = 1000  # maximum number of contacts between two pieces; the deepest contact is used
 SAMPLES, NEAREST, STEPS = 200, 6, 60  # samples; nearest samples that start a search; steps of a search
 FIRST_STEP, LESS = 0.05, 0.94  # first step, as a share of a joint's range; ratio of successive steps
+CORE_M = 1e-4  # radius of the core of a capsule
 FIRST = np.array([0])
 _LIST = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
 
@@ -42,12 +43,15 @@ _Held = Triangles | Capsule | StoredPiece
 
 
 class _MeshPart(NamedTuple):
-    """Content of a capsule: a piece of a mesh, a convex hull of one, or the capsule itself."""
+    """Content of a capsule: a piece of a mesh, a convex hull of one, or the capsule itself.
+
+    A capsule is a thin core with a thickness: FCL states no depth of contacts between its capsules and triangles.
+    """
 
     body: int
     shape: fcl.CollisionObject  # placed anew for every query
     T_body_shape: Float[np.ndarray, "4 4"] | None  # None: the shape is in the body's frame
-    radius: float = 0.0  # thickness of a hull [m]
+    radius: float = 0.0  # thickness of a hull or of a core [m]
 
 
 class Poses(NamedTuple):
@@ -150,9 +154,9 @@ class LinkMeshes:
             at: Poses of the bodies.
             k: Row of `at` to check.
         """
-        radius = self._parts[one].radius + self._parts[other].radius
-        pair = self._placed(one, at, k), self._placed(other, at, k)
-        return fcl.distance(*pair) <= radius if radius else fcl.collide(*pair) > 0
+        if self._thickness(one, other):
+            return self._distance_m(one, other, at, k) <= 0
+        return fcl.collide(self._placed(one, at, k), self._placed(other, at, k)) > 0
 
     def deepest_m(
         self, one: str, other: str, at: Poses, rows: Int[np.ndarray, "m"] = FIRST, enough_m: float = np.inf
@@ -166,11 +170,14 @@ class LinkMeshes:
             rows: Rows of `at` to check; by default the first.
             enough_m: Depth [m] from which on the search stops.
         """
-        deepest = 0.0
+        deepest, is_thick = 0.0, self._thickness(one, other) > 0
         for k in rows:
-            contacts = fcl.CollisionResult()
-            fcl.collide(self._placed(one, at, k), self._placed(other, at, k), _LIST, contacts)
-            deepest = max([deepest, *(contact.penetration_depth for contact in contacts.contacts)])
+            if is_thick:
+                deepest = max(deepest, -self._distance_m(one, other, at, k))
+            else:
+                contacts = fcl.CollisionResult()
+                fcl.collide(self._placed(one, at, k), self._placed(other, at, k), _LIST, contacts)
+                deepest = max([deepest, *(contact.penetration_depth for contact in contacts.contacts)])
             if deepest > enough_m:
                 break
         return deepest
@@ -208,22 +215,27 @@ class LinkMeshes:
                         return True
         return False
 
-    def touching_share(self, one: str, other: str, at: Poses) -> float:
-        """Return the share [1] of some poses in which two capsules' pieces overlap by more than TOUCHING_M.
+    def touching_share(self, pairs: Sequence[tuple[str, str]], at: Poses) -> float:
+        """Return the share [1] of some poses in which the pieces of a pair overlap by more than TOUCHING_M.
 
         Args:
-            one: Name of a capsule.
-            other: Name of another capsule.
+            pairs: Names of two capsules each.
             at: Poses of the bodies.
         """
         some = np.arange(len(at.position))[:: max(1, len(at.position) // SAMPLES)]
-        deep = (self.deepest_m(one, other, at, some[k : k + 1], robots.TOUCHING_M) for k in range(len(some)))
-        return float(np.mean([each > robots.TOUCHING_M for each in deep]))
+        touch_m = robots.TOUCHING_M
+        deep = (any(self.deepest_m(*pair, at, row, touch_m) > touch_m for pair in pairs) for row in some[:, None])
+        return float(np.mean(list(deep)))
 
     def _distance_m(self, one: str, other: str, at: Poses, k: int | np.integer) -> float:
         """Return the distance between two pieces [m]; minus the penetration depth if they overlap."""
-        apart = fcl.distance(self._placed(one, at, k), self._placed(other, at, k))
+        apart, thick = fcl.distance(self._placed(one, at, k), self._placed(other, at, k)), self._thickness(one, other)
+        if thick:
+            return max(apart, 0.0) - thick
         return apart if apart > 0 else -self.deepest_m(one, other, at, np.array([k]))
+
+    def _thickness(self, one: str, other: str) -> float:
+        return self._parts[one].radius + self._parts[other].radius
 
     def outside_m(self, name: str, robot: Robot, x: Float[np.ndarray, "N"], point: Float[np.ndarray, "3"]) -> float:
         """Return the distance of a point from the piece in a capsule, or from the capsule if it has no piece [m].
@@ -243,7 +255,7 @@ class LinkMeshes:
             T_model_joint = link_frames(self._model, np.eye(4), self._chain).T_parent_joint[k]
             T_world_model = np.asarray(robot.T_parent_joint[0]) @ np.linalg.inv(T_model_joint)
             seen = np.linalg.solve(T_world_model, [*point, 1.0])[:3]
-        return max(0.0, point_distance_m(self._placed(name, at, 0), seen))
+        return max(0.0, point_distance_m(self._placed(name, at, 0), seen) - self._parts[name].radius)
 
     def _placed(self, name: str, at: Poses, k: int | np.integer) -> fcl.CollisionObject:
         body, shape, T, _ = self._parts[name]
@@ -314,12 +326,13 @@ def _capsule_part(body: int, held: _Held) -> _MeshPart:
         return _MeshPart(body, mesh_object(held), None)
     T, along, turn, flat = np.eye(4), held.p - held.q, np.empty(4), np.empty(9)
     T[:3, 3], length = (held.p + held.q) / 2, float(np.linalg.norm(along))
+    core = min(CORE_M, held.radius / 2)
     if length == 0:
-        return _MeshPart(body, fcl.CollisionObject(fcl.Sphere(held.radius)), T)
+        return _MeshPart(body, fcl.CollisionObject(fcl.Sphere(core)), T, held.radius - core)
     mujoco.mju_quatZ2Vec(turn, along / length)
     mujoco.mju_quat2Mat(flat, turn)
     T[:3, :3] = flat.reshape(3, 3)
-    return _MeshPart(body, fcl.CollisionObject(fcl.Capsule(held.radius, length)), T)
+    return _MeshPart(body, fcl.CollisionObject(fcl.Capsule(core, length)), T, held.radius - core)
 
 
 def _hull_object(vertices: Points) -> fcl.CollisionObject | None:
