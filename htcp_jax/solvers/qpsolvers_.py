@@ -91,16 +91,15 @@ def _fault(name: str) -> str | None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Discard what libraries print to standard output, such as banners and licences: it may carry JSON."""
+    """Move what libraries print, such as banners, from standard output, which may carry JSON, to standard error."""
     with _ONE_AT_A_TIME:
         flush = ctypes.CDLL(None).fflush
         flush(None)
-        kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, 1)
+        kept = os.dup(1)
         try:
+            os.dup2(2, 1)
             yield
         finally:
             flush(None)
             os.dup2(kept, 1)
             os.close(kept)
-            os.close(nothing)
