@@ -23,7 +23,7 @@ AUTO_QP = "auto"  # value of `Settings.qp` that `Settings.on` replaces
 
 # Valid ranges. A value outside its range is a typing error or has the wrong unit.
 SMALLEST = 1e-15  # smallest divisor and smallest step
-Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
+Weight = Annotated[float, Field(ge=SMALLEST, le=1e15)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
 Tolerance = Annotated[float, Field(ge=SMALLEST, le=0.1)]  # [m]
 Angle = Annotated[float, Field(ge=SMALLEST, le=3)]  # [rad]
@@ -54,7 +54,7 @@ class Settings:
     tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # maximum error of the constrained angles
     qp: Solver = AUTO_QP  # solver: clarabel, device, qpsolvers:<name>, or auto: clarabel on a CPU, device on a GPU
     qp_tolerance: Annotated[float, Field(ge=SMALLEST, le=0.01)] = (
-        1e-8  # Clarabel's tolerance for residuals and gap [1]; at margin 0 it decides which targets get stuck
+        1e-8  # Clarabel's accuracy, relative to the step [1]; at margin 0 it decides which targets get stuck
     )
 
     # Null space, equations (10) and (11)

@@ -241,7 +241,7 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
         x, other = x_ref + 0.3 * rng.normal(size=(2, N))
 
         def cost(x):
-            return np.sum(settings.q_weights * (x - about) ** 2)
+            return np.sum(settings.q_weights * (x - about) ** 2) / 16  # the power of four next to the weight 10
 
         def cost_of_step(y):
             return 0.5 * np.sum(qp.P * y * y) + qp.q @ y
@@ -255,6 +255,50 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
             np.testing.assert_allclose(free_radius, linearised - margin, atol=1e-13)
         np.testing.assert_allclose(qp.ub - (x - x_ref), upper - x, atol=1e-13)
         np.testing.assert_allclose((x - x_ref) - qp.lb, x - lower, atol=1e-13)
+
+
+def short_steps(count, length, seed):
+    """Step QPs with solutions of a given length [rad], found by multipliers in extended precision.
+
+    The cost is that of a step from rest, q = 0; about half of the solutions have an active clearance row.
+    """
+    rng = np.random.default_rng(seed)
+    qps, answers = [], []
+    for k in range(count):
+        A, G = rng.normal(size=(3, N)), 0.5 * rng.normal(size=(4, N))
+        active = np.concatenate([A, G[: k % 2]]).astype(np.longdouble)
+        multipliers = rng.uniform(0.1, 1, len(active)) * np.where(np.arange(len(active)) < 3, 1, -1)
+        y = multipliers.astype(np.longdouble) @ active / WEIGHTS.astype(np.longdouble)
+        factor = length / np.abs(y).max()
+        y, b, h = factor * y, factor * (A @ y), factor * (G @ y)
+        h[k % 2 :] += 0.01
+        qps.append(
+            StepQP(WEIGHTS, np.zeros(N), A, b.astype(float), G, h.astype(float), np.full(N, -3.0), np.full(N, 3.0))
+        )
+        answers.append(y.astype(float))
+    return batch(qps), np.stack(answers)
+
+
+@pytest.mark.parametrize("name", ["clarabel", "qpsolvers:clarabel", ORACLE])
+@pytest.mark.parametrize("length", [2e-5, 2e-3, 0.2])
+def test_short_steps_are_as_accurate_as_long_ones_for_weights_of_any_unit(name, length):
+    qps, answers = short_steps(40, length, seed=1)
+    for factor in (1e-12, 1.0, 1e12):
+        P, name_in = factor * WEIGHTS, name.removeprefix("qpsolvers:")
+        solver = ClarabelSolver(P, 4) if name == "clarabel" else QPSolversSolver(name_in)
+        y, status = solver.solve(qps._replace(P=factor * qps.P))
+        assert (status == QPStatus.SOLVED).all()
+        np.testing.assert_allclose(y, answers, rtol=0, atol=1e-5 * length)
+
+
+@pytest.mark.parametrize("limit", [1e6, 1e8, 1e300, np.inf])
+def test_limits_that_are_far_away_change_nothing(limit):
+    qps, answers = short_steps(20, 2e-3, seed=2)
+    far = np.full_like(qps.ub, limit)
+    for solver in (ClarabelSolver(WEIGHTS, 4), QPSolversSolver("clarabel")):
+        y, status = solver.solve(qps._replace(lb=-far, ub=far))
+        assert (status == QPStatus.SOLVED).all()
+        np.testing.assert_allclose(y, answers, rtol=0, atol=1e-7)
 
 
 def test_the_seam_makes_the_solver_that_the_settings_name():
