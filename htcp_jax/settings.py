@@ -54,7 +54,7 @@ class Settings:
     tolerance_rad: Annotated[float, Field(ge=SMALLEST, le=0.2)] = 2e-3  # maximum error of the constrained angles
     qp: Solver = AUTO_QP  # solver: clarabel, device, qpsolvers:<name>, or auto: clarabel on a CPU, device on a GPU
     qp_tolerance: Annotated[float, Field(ge=SMALLEST, le=0.01)] = (
-        1e-8  # Clarabel's accuracy, relative to the step [1]; at margin 0 it decides which targets get stuck
+        1e-8  # Clarabel's tolerance for residuals and gap [1]; at margin 0 it decides which targets get stuck
     )
 
     # Null space, equations (10) and (11)

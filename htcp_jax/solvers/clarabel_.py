@@ -1,19 +1,16 @@
 """Clarabel, an interior point solver with infeasibility certificates, with one fixed sparsity pattern.
 
 Building a solver and its sparse matrices takes longer than solving a QP. Therefore one solver is built for a fixed
-first problem, and later problems only replace its numbers. Its tolerances are absolute, so it solves the QPs of
-`step_qp.scaled`; joint limits, which are far compared with a step, otherwise cost iterations. Presolve and
-equilibration are off, so a solution does not depend on earlier QPs: it is the same bit for bit in any order, in any
-batch, on any thread.
+first problem, and later problems only replace its numbers. Presolve and equilibration are off, so a solution does not
+depend on earlier QPs: it is the same bit for bit in any order, in any batch, on any thread.
 """
 
 import clarabel
 import numpy as np
 from scipy import sparse
 
-from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP, scaled
+from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 
-TIGHTEST = 1e-12  # smallest tolerance of Clarabel; 1e-14 is more than rounding allows in some QPs
 _VERDICT = {
     clarabel.SolverStatus.Solved: QPStatus.SOLVED,
     clarabel.SolverStatus.AlmostSolved: QPStatus.SOLVED,
@@ -28,22 +25,21 @@ class ClarabelSolver:
     Use one solver per thread: a solver is not thread-safe, as the GIL is released while a QP is solved.
 
     Args:
-        P: Diagonal of the cost's matrix (N,); that of the QPs may have another unit.
+        P: Diagonal of the cost's matrix (N,).
         rows: Number of inequality rows, without the bounds.
-        tolerance: Accuracy of the scaled QP; the power 1.5 of it is Clarabel's tolerance of residuals and gap.
+        tolerance: Clarabel's tolerance of the residuals and the duality gap.
         task_rows: Number of equality rows.
     """
 
     def __init__(self, P: np.ndarray, rows: int, tolerance: float = 1e-8, task_rows: int = 3):
-        self._P, self._rows, self._task_rows = 2 * np.asarray(P, float) / np.max(P), rows, task_rows
+        self._P, self._rows, self._task_rows = np.asarray(P, float), rows, task_rows
         self._settings = clarabel.DefaultSettings()
         self._settings.verbose = False
         self._settings.presolve_enable = False
         self._settings.equilibrate_enable = False
         self._settings.max_threads = 1
-        # With a gap of e a step may be off by sqrt(e) units: at margin 0 such a step would end in collision.
         for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
-            setattr(self._settings, name, max(tolerance**1.5, TIGHTEST))
+            setattr(self._settings, name, tolerance)
         self._solver = self.build()
 
     def build(self) -> clarabel.DefaultSolver:
@@ -58,15 +54,21 @@ class ClarabelSolver:
 
     def solve(self, qps: StepQP) -> QPSolution:
         """Return the steps (B, N) and the status (B,) of every QP of a batch."""
-        _, q, rows, bounds, size = scaled(qps)
-        batch, n = q.shape
-        dense = rows[:, : -2 * n].transpose(0, 2, 1)
-        limits = rows[:, -2 * n :].reshape(batch, 2, n, n).diagonal(axis1=2, axis2=3).transpose(0, 2, 1)
-        values = np.concatenate([dense, limits], axis=2).reshape(batch, -1)
+        # Clarabel takes no infinite bounds: rows of infinitely far obstacles and of missing limits become 0 y <= 1.
+        far = np.isposinf(qps.h) & np.isfinite(qps.G).all(axis=2)
+        G, h = np.where(far[:, :, None], 0.0, qps.G), np.where(far, 1.0, qps.h)
+        columns = np.concatenate([qps.A, G], axis=1).transpose(0, 2, 1)
+        batch, n = qps.q.shape
+        limits = np.stack([qps.ub, -qps.lb], axis=2)
+        free = np.isposinf(limits)
+        signs = np.where(free, 0.0, np.array([1.0, -1.0]))
+        limits = np.where(free, 1.0, limits).transpose(0, 2, 1).reshape(batch, -1)
+        values = np.concatenate([columns, signs], axis=2).reshape(batch, -1)
+        bounds = np.concatenate([qps.b, h, limits], axis=1)
         # As lists: Clarabel reads numbers one by one, and each number of an array would first be made an object.
-        rows = zip(q.tolist(), values.tolist(), bounds.tolist(), strict=True)
+        rows = zip(qps.q.tolist(), values.tolist(), bounds.tolist(), strict=True)
         found = [self._solve_one(*row) for row in rows]
-        y = size * np.array([step or [0.0] * n for step, _ in found]).reshape(batch, n)
+        y = np.array([step or [0.0] * n for step, _ in found]).reshape(batch, n)
         status = np.array([verdict for _, verdict in found], np.int32)
         lost = ~np.isfinite(y).all(axis=1)
         y[lost], status[lost] = 0.0, QPStatus.FAILED

@@ -8,9 +8,6 @@
 
 With h, c >= 0, lower <= 0 and upper >= 0 the step 0 is feasible, so a solution always exists.
 
-Only the ratios of the weights matter, and the accuracy is relative to the trust region: the QP is solved with largest
-weight 1, in units of the largest step, a power of two.
-
 The equations are eliminated: y_i = Z_i u_i with an orthonormal basis Z_i of the directions that satisfy them and that
 move no fixed joint. Only consecutive configurations have common rows, so that `banded_qp` can solve the rest.
 """
@@ -21,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.solvers.banded_qp import BandedQP, Rows, band_place, solve_banded_qp
-from htcp_jax.solvers.step_qp import LONGEST, SHORTEST
+from htcp_jax.solvers.step_qp import scaled_weights
 
 DEPENDENT = 1e-10  # singular values of A_i below this share of the largest one count as 0
 STANDS = 1e-12  # a row with smaller entries along all directions is violated by no step
@@ -51,12 +48,10 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
     """Return the steps y of the path's configurations [rad or m]; zeros if the solver fails."""
-    size = 2.0 ** np.ceil(np.log2(np.clip(max(-qp.lower.min(), qp.upper.max()), SHORTEST, LONGEST)))
-    lengths = {name: getattr(qp, name) / size for name in ("x", "h", "c", "lower", "upper")}
-    scaled = qp._replace(weights=qp.weights / qp.weights.max(), **lengths)
-    directions = _free_directions(scaled)
-    u = solve_banded_qp(_banded(scaled, directions)) if directions.size else None
-    return np.zeros_like(qp.lower) if u is None else np.clip(size * directions.along(u), qp.lower, qp.upper)
+    qp = qp._replace(weights=scaled_weights(qp.weights))  # only their ratios matter
+    directions = _free_directions(qp)
+    u = solve_banded_qp(_banded(qp, directions)) if directions.size else None
+    return np.zeros_like(qp.lower) if u is None else np.clip(directions.along(u), qp.lower, qp.upper)
 
 
 class _FreeDirections(NamedTuple):

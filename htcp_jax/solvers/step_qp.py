@@ -8,12 +8,11 @@
 A solver takes a batch of step QPs on the host, and returns steps and statuses. INFEASIBLE is a normal result: the arm
 is stuck. FAILED means that the solver did not converge or returned NaN; it is not treated as infeasible.
 
-Only the ratios of the weights matter, and short steps are as accurate as long ones. Therefore solvers with absolute
-tolerances get the QP of `scaled`, whose weights, step and bounds are of about 1. Powers of two scale all but the
-weights, so that no constraint is rounded.
+Only the ratios of the weights matter: solvers stop at an absolute gap, so the smallest weight in P is 1.
 """
 
 import enum
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -23,8 +22,7 @@ from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
 UNLIMITED = 1e6  # finite joint limits of this magnitude count as none [rad or m]
-SHORTEST, LONGEST = 2.0**-20, 1.0  # shorter and longer steps are scaled like these [rad or m]
-UNIT = 0.25  # length of a unit relative to the step: Clarabel then is accurate to 1e-7 steps, at the fewest iterations
+SPREAD = 1e-6  # smallest weight that counts, relative to the largest, in the scale of the cost
 
 
 class QPStatus(enum.IntEnum):
@@ -53,19 +51,6 @@ class QPSolution(NamedTuple):
 
     y: Joints  # the step; zeros if the QP is not solved
     status: Int[Array, ""]  # number of a `QPStatus`
-
-
-class ScaledQP(NamedTuple):
-    """A batch of B step QPs, scaled for solvers on the host, with the step y = size * u.
-
-    minimise 1/2 u' diag(P) u + q' u with M equations, rows @ u = bound, and inequalities, rows @ u <= bound.
-    """
-
-    P: Float[np.ndarray, "B N"]  # the largest entry is 2
-    q: Float[np.ndarray, "B N"]
-    rows: Float[np.ndarray, "B S N"]  # A, then G, upper limits and lower limits; zeros if there is no bound
-    bound: Float[np.ndarray, "B S"]  # of inequalities less than 2
-    size: Float[np.ndarray, "B 1"]  # length of a unit, a power of two [rad or m]
 
 
 @runtime_checkable
@@ -110,7 +95,7 @@ def assemble(
         slack: Slack of the task's bands and cones [m]; None: the task has none.
         slack_gradient: Gradient of the slack [m/rad or m/m].
     """
-    weights = jnp.asarray(scaled_weights(settings))
+    weights = jnp.asarray(scaled_weights(settings.q_weights))
     about = x_ref if settings.cost_about == "reference" else x_previous
     if settings.clearance_rows == "smallest":
         body = jnp.argmin(clearance)
@@ -130,48 +115,10 @@ def assemble(
     )
 
 
-def scaled_weights(settings: Settings) -> Float[np.ndarray, "N"]:
-    """Return `q_weights` divided by the power of four next to the largest weight.
-
-    The square root of such a power is a power of two, so a factorisation has the same bits as without the scaling.
-    """
-    weights = np.asarray(settings.q_weights)
-    return weights / 4.0 ** np.round(np.log2(weights.max()) / 2)
-
-
-def scaled(qps: StepQP) -> ScaledQP:
-    """Return a batch of step QPs with weights, steps and bounds of about 1.
-
-    The results are bitwise the same in any batch.
-
-    Args:
-        qps: Numpy arrays with a leading axis B.
-    """
-    (batch, n), equations = qps.q.shape, qps.b.shape[1]
-    eye = np.broadcast_to(np.eye(n), (batch, n, n))
-    rows = np.concatenate([qps.A, qps.G, eye, -eye], axis=1)
-    bound = np.concatenate([qps.b, qps.h, qps.ub, -qps.lb], axis=1)
-
-    # The longest step that the cost or one constraint alone requires
-    required = np.concatenate([np.abs(qps.q), np.abs(qps.b), -bound[:, equations:]], axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        required /= np.concatenate([qps.P, np.abs(rows).max(axis=2)], axis=1)
-    longest = np.fmax.reduce(required, axis=1, keepdims=True)
-    size = UNIT * _power_of_two(np.fmin(np.fmax(longest, SHORTEST), LONGEST))
-
-    bound /= size
-    limited = bound[:, equations:]
-    far = np.isposinf(limited)
-    share = 2 / _power_of_two(np.where(far, 1.0, np.maximum(limited, 1.0)))
-    limited[...] = np.where(far, 1.0, share * limited)
-    rows[:, equations:] *= np.where(far, 0.0, share)[:, :, None]
-    per_weight = 2 / qps.P.max(axis=1, keepdims=True)
-    return ScaledQP(per_weight * qps.P, per_weight * qps.q / size, rows, bound, size)
-
-
-def _power_of_two(value: np.ndarray) -> np.ndarray:
-    """Return powers of two, larger than positive values by a factor of at most two."""
-    return np.ldexp(1.0, np.frexp(value)[1])
+def scaled_weights(weights: Sequence[float] | Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+    """Return weights divided by the smallest one, or by a millionth of the largest if that is more."""
+    weights = np.asarray(weights)
+    return weights / max(weights.min(), SPREAD * weights.max())
 
 
 def row_count(settings: Settings, rows: int, bands: int = 0) -> int:
