@@ -23,7 +23,7 @@ AUTO_QP = "auto"  # value of `Settings.qp` that `Settings.on` replaces
 
 # Valid ranges. A value outside its range is a typing error or has the wrong unit.
 SMALLEST = 1e-15  # smallest divisor and smallest step
-Weight = Annotated[float, Field(ge=SMALLEST, le=1e6)]
+Weight = Annotated[float, Field(ge=SMALLEST, le=1e15)]
 Distance = Annotated[float, Field(ge=0, le=1)]  # [m]
 Tolerance = Annotated[float, Field(ge=SMALLEST, le=0.1)]  # [m]
 Angle = Annotated[float, Field(ge=SMALLEST, le=3)]  # [rad]

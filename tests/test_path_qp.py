@@ -193,6 +193,14 @@ def test_a_row_that_no_step_breaks_changes_nothing():
         assert np.abs(solve_path_qp(near) - y).max() > 1e-3
 
 
+def test_only_the_ratios_of_the_weights_matter():
+    qp = random_path(np.random.default_rng(11), count=8, joints=4)
+    y = solve_path_qp(qp)
+    for factor in (1e-12, 1e12):
+        again = solve_path_qp(qp._replace(weights=factor * qp.weights))
+        np.testing.assert_allclose(again, y, rtol=0, atol=1e-9)
+
+
 def test_where_the_solver_breaks_down_nothing_moves():
     qp = random_path(np.random.default_rng(9))
     qp.x[2, 1] = np.nan

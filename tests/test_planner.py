@@ -258,6 +258,13 @@ def test_settings_are_a_mapping_too():
     np.testing.assert_array_equal(by_mapping.x, given.x)
 
 
+def test_only_the_ratios_of_joint_weights_matter():
+    given = toy.planned(method="baseline", settings=Settings(q_weights=(1.0,) * 4, max_step_qps=15))
+    for factor in (1e-12, 1e12):
+        scaled = toy.planned(method="baseline", settings=Settings(q_weights=(factor,) * 4, max_step_qps=15))
+        np.testing.assert_array_equal(scaled.x, given.x)
+
+
 @pytest.mark.parametrize(
     ("settings", "line"),
     [

@@ -13,7 +13,7 @@ from htcp_jax.planning.tracking.step_qps import make_solver
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import ClarabelSolver, QPSolversSolver
 from htcp_jax.solvers.interior_point import solve_dense
-from htcp_jax.solvers.step_qp import QPStatus, StepQP, assemble, row_count
+from htcp_jax.solvers.step_qp import QPStatus, StepQP, assemble, row_count, scaled_weights
 
 WEIGHTS = 2 * np.array(Settings().q_weights)
 N = len(WEIGHTS)
@@ -241,7 +241,7 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
         x, other = x_ref + 0.3 * rng.normal(size=(2, N))
 
         def cost(x):
-            return np.sum(settings.q_weights * (x - about) ** 2)
+            return np.sum(settings.q_weights * (x - about) ** 2)  # the smallest weight is 1
 
         def cost_of_step(y):
             return 0.5 * np.sum(qp.P * y * y) + qp.q @ y
@@ -255,6 +255,56 @@ def test_the_step_qp_is_equation_9_row_by_row(rows, cost_about):
             np.testing.assert_allclose(free_radius, linearised - margin, atol=1e-13)
         np.testing.assert_allclose(qp.ub - (x - x_ref), upper - x, atol=1e-13)
         np.testing.assert_allclose((x - x_ref) - qp.lb, x - lower, atol=1e-13)
+
+
+def short_steps(count, length, seed):
+    """Step QPs with solutions of a given length [rad], found by multipliers in extended precision.
+
+    The cost is that of a step from rest, q = 0; about half of the solutions have an active clearance row.
+    """
+    rng = np.random.default_rng(seed)
+    qps, answers = [], []
+    for k in range(count):
+        A, G = rng.normal(size=(3, N)), 0.5 * rng.normal(size=(4, N))
+        active = np.concatenate([A, G[: k % 2]]).astype(np.longdouble)
+        multipliers = rng.uniform(0.1, 1, len(active)) * np.where(np.arange(len(active)) < 3, 1, -1)
+        y = multipliers.astype(np.longdouble) @ active / WEIGHTS.astype(np.longdouble)
+        factor = length / np.abs(y).max()
+        y, b, h = factor * y, factor * (A @ y), factor * (G @ y)
+        h[k % 2 :] += 0.01
+        qps.append(
+            StepQP(WEIGHTS, np.zeros(N), A, b.astype(float), G, h.astype(float), np.full(N, -3.0), np.full(N, 3.0))
+        )
+        answers.append(y.astype(float))
+    return batch(qps), np.stack(answers)
+
+
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+@pytest.mark.parametrize("length", [2e-5, 2e-3, 0.2])
+def test_qpsolvers_solves_short_steps_as_accurately_as_long_ones_for_weights_of_any_unit(name, length):
+    qps, answers = short_steps(40, length, seed=1)
+    for factor in (1e-12, 1.0, 1e12):
+        y, status = QPSolversSolver(name).solve(qps._replace(P=factor * qps.P))
+        assert (status == QPStatus.SOLVED).all()
+        np.testing.assert_allclose(y, answers, rtol=0, atol=1e-5 * length)
+
+
+@pytest.mark.parametrize("limit", [1e6, 1e8, 1e300, np.inf])
+def test_limits_that_are_far_away_change_nothing(limit):
+    """Clarabel fails with finite bounds of 1e8 and more, so a step QP has infinite ones instead."""
+    x, row = jnp.zeros(N), jnp.ones((1, N))
+    far = jnp.full(N, limit)
+    qp = assemble(Settings(), x, x, jnp.zeros(3), jnp.ones((3, N)), jnp.ones(1), row, jnp.asarray(0.0), -far, far)
+    assert np.isneginf(qp.lb).all() and np.isposinf(qp.ub).all()
+
+
+@pytest.mark.parametrize("factor", [1e-12, 1e-6, 7.0, 1e6, 1e12])
+def test_only_the_ratios_of_the_weights_matter(factor):
+    given = np.array([5.0, 5.0, 2.0, 1.0, 5.0, 10.0])
+    np.testing.assert_array_equal(scaled_weights(given), given)
+    np.testing.assert_array_equal(scaled_weights(np.ones(7)), np.ones(7))
+    np.testing.assert_allclose(scaled_weights(factor * given), given, rtol=1e-15)
+    assert scaled_weights((1e-15, 1.0, 1e15)).max() == pytest.approx(1e6)
 
 
 def test_the_seam_makes_the_solver_that_the_settings_name():

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.solvers.banded_qp import BandedQP, Rows, band_place, solve_banded_qp
+from htcp_jax.solvers.step_qp import scaled_weights
 
 DEPENDENT = 1e-10  # singular values of A_i below this share of the largest one count as 0
 STANDS = 1e-12  # a row with smaller entries along all directions is violated by no step
@@ -47,6 +48,7 @@ def path_cost(x: Float[np.ndarray, "P1 N"], weights: Float[np.ndarray, "N"]) -> 
 
 def solve_path_qp(qp: PathQP) -> Float[np.ndarray, "P N"]:
     """Return the steps y of the path's configurations [rad or m]; zeros if the solver fails."""
+    qp = qp._replace(weights=scaled_weights(qp.weights))  # only their ratios matter
     directions = _free_directions(qp)
     u = solve_banded_qp(_banded(qp, directions)) if directions.size else None
     return np.zeros_like(qp.lower) if u is None else np.clip(directions.along(u), qp.lower, qp.upper)

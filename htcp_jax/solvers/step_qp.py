@@ -7,15 +7,22 @@
 
 A solver takes a batch of step QPs on the host, and returns steps and statuses. INFEASIBLE is a normal result: the arm
 is stuck. FAILED means that the solver did not converge or returned NaN; it is not treated as infeasible.
+
+Only the ratios of the weights matter: solvers stop at an absolute gap, so the smallest weight in P is 1.
 """
 
 import enum
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
+
+UNLIMITED = 1e6  # finite joint limits of this magnitude count as none [rad or m]
+SPREAD = 1e-6  # smallest weight that counts, relative to the largest, in the scale of the cost
 
 
 class QPStatus(enum.IntEnum):
@@ -88,7 +95,7 @@ def assemble(
         slack: Slack of the task's bands and cones [m]; None: the task has none.
         slack_gradient: Gradient of the slack [m/rad or m/m].
     """
-    weights = jnp.asarray(settings.q_weights)
+    weights = jnp.asarray(scaled_weights(settings.q_weights))
     about = x_ref if settings.cost_about == "reference" else x_previous
     if settings.clearance_rows == "smallest":
         body = jnp.argmin(clearance)
@@ -103,9 +110,15 @@ def assemble(
         b=to_target,
         G=G,
         h=h,
-        lb=lower - x_ref,
-        ub=upper - x_ref,
+        lb=jnp.where(lower > -UNLIMITED, lower, -jnp.inf) - x_ref,
+        ub=jnp.where(upper < UNLIMITED, upper, jnp.inf) - x_ref,
     )
+
+
+def scaled_weights(weights: Sequence[float] | Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
+    """Return weights divided by the smallest one, or by a millionth of the largest if that is more."""
+    weights = np.asarray(weights)
+    return weights / max(weights.min(), SPREAD * weights.max())
 
 
 def row_count(settings: Settings, rows: int, bands: int = 0) -> int:

@@ -67,7 +67,7 @@ def make_solver(settings: Settings, rows: int, task_rows: int = 3) -> step_qp.QP
     name, _, backend = settings.qp.partition(":")
     makers: dict[str, Callable[[], step_qp.QPSolver]] = {
         "clarabel": lambda: solvers.ClarabelSolver(
-            2 * np.asarray(settings.q_weights), rows, settings.qp_tolerance, task_rows
+            2 * step_qp.scaled_weights(settings.q_weights), rows, settings.qp_tolerance, task_rows
         ),
         "qpsolvers": lambda: solvers.QPSolversSolver(backend),
     }
