@@ -45,7 +45,8 @@ _Held = Triangles | Capsule | StoredPiece
 class _MeshPart(NamedTuple):
     """Content of a capsule: a piece of a mesh, a convex hull of one, or the capsule itself.
 
-    A capsule is a thin core with a thickness: FCL states no depth of contacts between its capsules and triangles.
+    A capsule or sphere is a thin core with a thickness: FCL's depth of triangles in a sphere is negative, and in a
+    capsule it depends on the mesh.
     """
 
     body: int
