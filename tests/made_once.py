@@ -13,6 +13,7 @@ import pytest
 from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.proof.bisection import Proof, initial_state
+from htcp_jax.clearance.proof.joint_path import StraightPath
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.clearance.proof.motion_proof import DEEPEST, query_on
 from htcp_jax.device.executor import ExecutableCache
@@ -104,7 +105,7 @@ def configurations_near(x: np.ndarray, count: int, width: float, seed: int = 0) 
 
 def prove(scene, where, a, b, tube=None, resolution_m=-ROUNDING_M, deepest=DEEPEST, kept=0.0) -> Proof:
     """Proof or refutation of one straight joint path, by queries one after the other; each measures all rows."""
-    query = query_on(scene, where, a, b, tube, resolution_m, deepest, kept)
+    query = query_on(scene, where, StraightPath(a, b), tube, resolution_m, deepest, kept)
     return jax.lax.while_loop(lambda search: search.going, lambda search: query(search, None)[0], initial_state()).proof
 
 

@@ -22,7 +22,7 @@ from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
 from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import on_interval
-from htcp_jax.clearance.proof.motion_bound import travel_bound
+from htcp_jax.clearance.proof.motion_bound import JointSweep, travel_bound
 from htcp_jax.pytree import register_pytree
 
 BODIES = 6
@@ -143,12 +143,16 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
     everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: clearance(*scene[:2], where, x), xs))
     for where, a, b, _ in motions():
         x, rates = (a + b) / 2, b - a
-        near = float(look(*scene[:2], where, x, rates, 0.0, 0.0, 0.5, jnp.array(True), jnp.array(False)).middle)
+        near = float(
+            look(*scene[:2], where, x, JointSweep(rates, 0.0), 0.0, 0.5, jnp.array(True), jnp.array(False)).middle
+        )
         if near <= 0:
             continue
-        reached = near / float(travel(scene.robot, x, rates, 1.0).max())  # where travel is about the clearance
+        reached = near / float(
+            travel(scene.robot, x, JointSweep(rates, 1.0)).max()
+        )  # where travel is about the clearance
         for half in (0.3 * reached, 0.6 * reached, 1.2 * reached):
-            requested = *scene[:2], where, x, rates, half, 0.0, 0.5, jnp.array(True)
+            requested = *scene[:2], where, x, JointSweep(rates, half), 0.0, 0.5, jnp.array(True)
             there, by_travel = (look(*requested, jnp.array(closely)) for closely in (True, False))
             assert there.middle == by_travel.middle and (there.proven or not by_travel.proven)
             if there.proven:

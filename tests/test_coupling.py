@@ -23,7 +23,7 @@ from htcp_jax.clearance.obstacles.fixtures import HalfSpace, fixtures
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.clearance.proof import branch_exclusion, exclusion
 from htcp_jax.clearance.proof.interval import row_travel_bound
-from htcp_jax.clearance.proof.motion_bound import body_sweep, motion_bound, tcp_sweep
+from htcp_jax.clearance.proof.motion_bound import JointSweep, body_sweep, motion_bound, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import _FeatureSweep
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
@@ -214,9 +214,8 @@ def test_bodies_on_a_straight_path_move_no_further_than_the_bounds_at_1000_place
     rows = RowPairs(*zip(*((a, robot.capsule_link[b]) for a in bodies for b in bodies if a != b), strict=True))
 
     def bounds(x, rates, half):
-        sweep = body_sweep(robot, x, rates, half)
-        within = motion_bound(robot, x, half * jnp.abs(rates))
-        return sweep.travel, within, row_travel_bound(robot, rows, x, rates, half), tcp_sweep(robot, x, rates, half)
+        own, within = JointSweep(rates, half), motion_bound(robot, x, half * jnp.abs(rates))
+        return body_sweep(robot, x, own).travel, within, row_travel_bound(robot, rows, x, own), tcp_sweep(robot, x, own)
 
     frames = jax.jit(jax.vmap(partial(kinematics.link_poses, robot)))
     bounded, rng, tightest = jax.jit(bounds), np.random.default_rng(4), 0.0
@@ -247,7 +246,9 @@ def test_opposite_followers_cancel_on_a_straight_path():
     robot, _ = loaded(text)
     x, rates = jnp.zeros(5), jnp.array([1.0, 0, 0, 0, 0])  # the lever turns the elbow by 1.5
     tool = robot.capsule_names.index("tool")
-    assert float(body_sweep(robot, x, rates, jnp.array(1e-4)).travel[tool]) < 1.001 * 1e-4 * 1.5 * np.hypot(0.3, 0.01)
+    assert float(body_sweep(robot, x, JointSweep(rates, jnp.array(1e-4))).travel[tool]) < 1.001 * 1e-4 * 1.5 * np.hypot(
+        0.3, 0.01
+    )
 
 
 def test_displacements_of_coordinates_move_no_point_further_than_their_bounds():

@@ -11,7 +11,7 @@ import pytest
 from sphere_references import place
 
 from htcp_jax.clearance import Scene
-from htcp_jax.clearance.proof.motion_bound import motion_bound, travel_bound
+from htcp_jax.clearance.proof.motion_bound import JointSweep, motion_bound, travel_bound
 from htcp_jax.clearance.proof.motion_proof import RESOLUTION_M
 from htcp_jax.device import Executor
 from htcp_jax.io.robots.loading import load_robot
@@ -111,7 +111,7 @@ def test_no_point_of_a_body_travels_further_on_a_joint_path_than_the_bound(model
     tightest, gain = 0.0, 1.0
     for _ in range(200):
         x, rates, half = rng.uniform(-1, 1, n), rng.normal(size=n) * rng.integers(0, 2, n), rng.choice([0.01, 0.1, 0.5])
-        most = np.asarray(bound(robot, jnp.asarray(x), jnp.asarray(rates), half))
+        most = np.asarray(bound(robot, jnp.asarray(x), JointSweep(jnp.asarray(rates), half)))
         turns = np.asarray(by_turns(robot, jnp.asarray(x), jnp.asarray(half * abs(rates))))
         assert (most <= turns).all()
         (p, q), (p2, q2) = (

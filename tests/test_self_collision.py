@@ -21,7 +21,7 @@ from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision
 from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, samples
 from htcp_jax.clearance.proof.bisection import PathVerdict
 from htcp_jax.clearance.proof.interval import row_travel_bound
-from htcp_jax.clearance.proof.motion_bound import travel_bound
+from htcp_jax.clearance.proof.motion_bound import JointSweep, travel_bound
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
@@ -129,15 +129,15 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
         robot, _ = arm(name, tmp_path)
         own, rng, n = SelfCollision(((2, 0), (2, 1))), np.random.default_rng(3), len(robot.slides)
         rows, tightest = own.rows(robot), 0.0
-        bound = jax.jit(lambda x, rates, half, robot=robot, rows=rows: row_travel_bound(robot, rows, x, rates, half))
+        bound = jax.jit(partial(row_travel_bound, robot, rows))
         everywhere = jax.jit(partial(travel_bound, robot))
         ends = jax.jit(lambda x, robot=robot: (link_poses(robot, x), *capsule_segments(robot, x)))
         for _ in range(100):
             x, rates = rng.uniform(-1, 1, n), rng.normal(size=n)
             half = rng.choice([0.01, 0.1, 0.5])
-            most = np.asarray(bound(x, rates, half))
+            most = np.asarray(bound(x, JointSweep(rates, half)))
             still = np.where(np.arange(n) <= rows.other[0], 0.0, rates)
-            np.testing.assert_allclose(most[0], np.asarray(everywhere(x, still, half))[2], rtol=1e-12)
+            np.testing.assert_allclose(most[0], np.asarray(everywhere(x, JointSweep(still, half)))[2], rtol=1e-12)
             seen = []
             for y in (x, x + rng.uniform(-1, 1) * half * rates):
                 T, p, q = map(np.asarray, ends(y))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.clearance.obstacles import TipGuard
-from htcp_jax.clearance.proof import ROUNDING_M, bisection, margin, motion_proof
+from htcp_jax.clearance.proof import ROUNDING_M, bisection, joint_path, margin, motion_proof
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import TCP_POSITION, Task
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -23,6 +23,7 @@ from htcp_jax.motion.step_functions import (
     CLEAR,
     MAY_BE_VALID,
     PROVE,
+    PROVE_POLYNOMIAL,
     SETTLE,
     TIP,
     ProofResolution,
@@ -125,6 +126,31 @@ class CollisionChecker:
         passes = proven & ~self._tip_free_along(inputs, a, b, proven)
         return proof._replace(verdict=np.where(passes, int(SegmentStatus.IN_COLLISION), proof.verdict))
 
+    def polynomial_edges(
+        self,
+        inputs: LaneInputs,
+        coefficients: Float[np.ndarray, "n C N"],
+        off: Float[np.ndarray, "n N"],
+        margin_m: Float[np.ndarray, "n"],
+        *,
+        kept: float | Float[np.ndarray, "n"] = 0.0,
+    ) -> bisection.Proof:
+        """Prove or refute that all joint paths near polynomials are clear; return one `Proof` per polynomial.
+
+        The task and the bare tip are not checked. A polynomial of any degree up to the fifth uses one executable.
+
+        Args:
+            inputs: Scenario and target of each path.
+            coefficients: c_0, c_1, ... of x(s) = sum_k c_k s^k with 0 <= s <= 1 [rad or m].
+            off: Largest distance of each joint from the polynomial [rad or m].
+            margin_m: Required clearance [m]; -inf: only D > 0.
+            kept: Share of D that must remain, see `edges`.
+        """
+        rows = np.zeros((len(off), joint_path.COEFFICIENTS, off.shape[1]))
+        rows[:, : coefficients.shape[1]] = coefficients
+        path, tube = joint_path.PolynomialPath(rows, off), free_tubes(self.task, inputs, margin_m)
+        return self.executor(PROVE_POLYNOMIAL, inputs, path, tube, _resolution(len(off), kept))
+
     def path_clear(
         self, inputs: LaneInputs, a: Configurations, b: Configurations, margin_m: Float[np.ndarray, "n"] | None = None
     ) -> Rows:
@@ -170,9 +196,7 @@ def prove_call(
     deepest=motion_proof.DEEPEST,
 ) -> tuple:
     """Return the lane function and the tables with which `CollisionChecker.edges` calls the executor."""
-    closely = ProofResolution(
-        *(np.broadcast_to(value, len(a)) for value in (kept, resolution_m, np.asarray(deepest, int)))
-    )
+    closely = _resolution(len(a), kept, resolution_m, deepest)
     tube = free_tubes(task, inputs) if tube is None else tube
     if tube.margin is None:
         tube = tube._replace(margin=margin.constant(np.full(len(a), -np.inf)))
@@ -192,3 +216,8 @@ def free_tubes(task: Task, inputs: LaneInputs, margin_m: Float[np.ndarray, "n"] 
     if task.parts != TCP_POSITION.parts:
         rows = np.stack([inputs.target, inputs.target], axis=1), np.zeros(count, bool)
     return motion_proof.Tube(np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, np.inf), *rows, required)
+
+
+def _resolution(count: int, kept=0.0, resolution_m=-ROUNDING_M, deepest=motion_proof.DEEPEST) -> ProofResolution:
+    """Return the resolution of `count` proofs."""
+    return ProofResolution(*(np.broadcast_to(value, count) for value in (kept, resolution_m, np.asarray(deepest, int))))

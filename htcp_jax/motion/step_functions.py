@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise, surely_collides
-from htcp_jax.clearance.proof import bisection, known_rows, motion_proof
+from htcp_jax.clearance.proof import bisection, joint_path, known_rows, motion_proof
 from htcp_jax.device import Loop, Remembering, by_chunks, lane_function
 from htcp_jax.model import TaskLinear, kinematics, reanchor
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -216,7 +216,37 @@ def prove_path(
     Returns:
         A loop whose result is a `Proof`, see `proven_result`.
     """
-    check = motion_proof.query_on(scene, lane, a, b, tube, closely.resolution_m, closely.deepest, closely.kept)
+    return _proof_of(scene, lane, joint_path.StraightPath(a, b), tube, closely)
+
+
+def prove_polynomial(
+    settings: Settings,
+    scene: Scene,
+    lane: LaneInputs,
+    path: joint_path.PolynomialPath,
+    tube: motion_proof.Tube,
+    closely: ProofResolution,
+) -> Loop:
+    """Prove or refute that all joint paths near a polynomial are clear, see `prove_path`.
+
+    Args:
+        settings: Settings of the planner.
+        scene: The scene.
+        lane: Scenario and target.
+        path: The joint path.
+        tube: Allowed region of the TCP; goals of the task are not checked.
+        closely: Resolution of the proof.
+
+    Returns:
+        A loop whose result is a `Proof`, see `proven_result`.
+    """
+    return _proof_of(scene, lane, path, tube._replace(goals=None, required=None), closely)
+
+
+def _proof_of(
+    scene: Scene, lane: LaneInputs, path: joint_path.JointPath, tube: motion_proof.Tube, closely: ProofResolution
+) -> Loop:
+    check = motion_proof.query_on(scene, lane, path, tube, closely.resolution_m, closely.deepest, closely.kept)
     start = jax.tree.map(jnp.asarray, bisection.initial_state())
     result = lambda search: bisection.proven_result(search.proof)  # noqa: E731
     return Loop(
@@ -268,6 +298,9 @@ SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)
 PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks, remembers=True)
+PROVE_POLYNOMIAL = lane_function.LaneFunction(
+    "prove_polynomial", prove_polynomial, lane_function.TRACKED, refill=by_chunks, remembers=True
+)
 
 
 def advance_of(settings: Settings) -> lane_function.LaneFunction:

@@ -1,4 +1,4 @@
-from . import bisection, branch_exclusion, exclusion, known_rows, margin, motion_proof, row_proof
+from . import bisection, branch_exclusion, exclusion, joint_path, known_rows, margin, motion_proof, row_proof
 from .motion_bound import OUTSIDE_M, ROUNDING_M, arm_points, lever_bounds
 
 __all__ = [
@@ -8,6 +8,7 @@ __all__ = [
     "bisection",
     "branch_exclusion",
     "exclusion",
+    "joint_path",
     "known_rows",
     "lever_bounds",
     "margin",

@@ -1,4 +1,4 @@
-"""Lower bound on the clearance on an interval of a straight joint path, computed at the interval's middle.
+"""Lower bound on the clearance on an interval of a joint path, computed at the interval's middle.
 
 The first bound is the distance at the middle minus each body's travel. If this bound is too small, the obstacle's own
 bound for moving bodies is used (`Obstacle.clear_along`), if it has one. Adaptive bisection by such bounds is from
@@ -23,8 +23,8 @@ from htcp_jax.clearance.obstacles.obstacle import (
     bodies_at,
 )
 from htcp_jax.clearance.proof.known_rows import KnownRows, free_radii
-from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, body_sweep, pair_travel_bound, travel_bound
-from htcp_jax.model import Robot, kinematics, moved_by
+from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, JointSweep, body_sweep, pair_travel_bound, travel_bound
+from htcp_jax.model import Robot, moved_by
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
 
@@ -41,23 +41,21 @@ def on_interval(
     obstacles: Obstacles,
     where: HasWorkpiecePose,
     x: Joints,
-    rates: Joints,
-    half: Scalar,
+    sweep: JointSweep,
     least: Float[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
     keeps: Bool[Array, ""],
     requested: Bool[Array, ""],
     known: KnownRows | None = None,
 ) -> tuple[Interval, KnownRows | None]:
-    """Return bounds on D on the joint path x + s `rates` with |s| <= half, and what is known then.
+    """Return bounds on D on an interval of a joint path, and what is known then.
 
     Args:
         robot: The robot.
         obstacles: The obstacles.
         where: A scenario, or another `HasWorkpiecePose`.
-        x: The interval's middle [rad or m].
-        rates: The path's derivative in s [rad or m].
-        half: Half of the interval's length.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
         least: Required clearance [m].
         kept: Share of D at the middle that is also required if `keeps` is True.
         keeps: True to require the share `kept`.
@@ -65,11 +63,10 @@ def on_interval(
         known: Rows measured before, see `known_rows`; rows that cannot change the result are then not measured. None:
             all rows are measured.
     """
-    bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, rates, half)
+    bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, sweep)
     rows = [each.rows(robot) for each in obstacles]
     travels = [
-        moves.travel if own == RowPairs.of_bodies(robot) else row_travel_bound(robot, own, x, rates, half)
-        for own in rows
+        moves.travel if own == RowPairs.of_bodies(robot) else row_travel_bound(robot, own, x, sweep) for own in rows
     ]
     if known is None:
         measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
@@ -84,7 +81,7 @@ def on_interval(
     clear = []
     for each, own, own_rows, travel in zip(obstacles, free_radius, rows, travels, strict=True):
         if robot.pieces is not None:  # a distance up to the limit may be that of a piece
-            own_turn = piece_turn_bound(robot, own_rows, half * jnp.abs(kinematics.joint_rates(robot, rates)))
+            own_turn = piece_turn_bound(robot, own_rows, sweep.of_joints(robot).turns)
             travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
         by_travel = own - travel
         clear.append(
@@ -139,7 +136,7 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> 
     return reach * jnp.minimum(angle, 2.0)
 
 
-def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, sweep: JointSweep) -> Float[Array, "R"]:
     """Return a bound on the displacement of each row's body relative to the link on the row's other side [m].
 
     Only the joints between both links move the body, see `travel_bound`.
@@ -147,18 +144,17 @@ def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, hal
     Args:
         robot: The robot.
         rows: Both sides of each row.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: The path's derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
 
     Raises:
         ValueError: If a row's body does not lie after the link on its other side, in an arm that is one chain.
     """
     if robot.coupling is not None:
-        return pair_travel_bound(robot, rows, x, rates, half)
+        return pair_travel_bound(robot, rows, x, sweep)
     if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
         raise ValueError("each row's body must lie after the link on the row's other side, in the chain")
     seen_from = sorted(set(rows.other))
     moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
-    found = jax.vmap(lambda moving: travel_bound(robot, x, jnp.where(moving, rates, 0.0), half))(moving)
+    found = jax.vmap(lambda moving: travel_bound(robot, x, sweep.only(moving)))(moving)
     return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]

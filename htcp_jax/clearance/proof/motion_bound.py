@@ -26,8 +26,13 @@ branches, these joints form one chain too: from that link back to the branching,
 
 If joints follow others, t = C x' for the joints on a straight path, so that opposite followers cancel, and d = |C| d_x
 if the coordinates vary within d_x.
+
+On a curved path, |t_j| is a bound on all of the interval, and each joint adds |x_j''| r_j to the bound on
+|p''|. If, in addition, each joint may be up to e_j away from the path, a point may be sum_j e_j r_j away from its own
+path: the joints are moved one after the other, and r_j bounds the distance in all of these configurations.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -44,12 +49,44 @@ OUTSIDE_M = 1e-6  # distance by which a convex piece may extend beyond its capsu
 ROUNDING_M = 1e-9  # upper bound on the rounding error of any position; margin of every proof
 
 
+class JointSweep(NamedTuple):
+    """Motion of the joints on an interval of a joint path x(s), about its middle, with |s| <= half."""
+
+    rates: Joints  # derivative x' at the middle [rad or m]
+    half: Scalar
+    speeds: Joints | None = None  # bound on |x'| [rad or m]; None: the path is straight
+    bends: Joints | None = None  # bound on |x''| [rad or m]; None: the path is straight
+    off: Joints | None = None  # largest distance of each joint from the path [rad or m]; None: 0
+
+    def of_joints(self, robot: Robot) -> "JointSweep":
+        """Return the motion of all joints of an arm in which joints follow others."""
+        bounds = (each if each is None else kinematics.joint_ranges(robot, each) for each in self[2:])
+        return JointSweep(kinematics.joint_rates(robot, self.rates), self.half, *bounds)
+
+    @property
+    def turns(self) -> Joints:
+        """Largest distance of each joint from its value at the middle [rad or m]."""
+        turns = self.half * (jnp.abs(self.rates) if self.speeds is None else self.speeds)
+        return turns if self.off is None else turns + self.off
+
+    def chain(self, joints: Int[np.ndarray, "n"], signs: Sequence[float]) -> "JointSweep":
+        """Return the motion of some joints, with the signs of their rates."""
+        bounds = (each if each is None else each[joints] for each in self[2:])
+        return JointSweep(self.rates[joints] * np.array(signs), self.half, *bounds)
+
+    def only(self, moving: Bool[Array, "N"]) -> "JointSweep":
+        """Return the motion in which all other joints stand still."""
+        still = lambda each: jnp.where(moving, each, 0.0)  # noqa: E731
+        return jax.tree.map(still, self._replace(half=None))._replace(half=self.half)
+
+
 class TcpSweep(NamedTuple):
-    """Motion of the TCP on a joint path x + s rates, about its position at s = 0."""
+    """Motion of the TCP on an interval of a joint path, about its position at the middle."""
 
     position: Vector3  # world [m]
     velocity: Vector3  # derivative in s [m]
     bend: Scalar  # bound on the second derivative |p''| [m]
+    off: Scalar | None = None  # largest distance from the path [m]; None: 0
 
 
 class _Bounds(NamedTuple):
@@ -58,6 +95,7 @@ class _Bounds(NamedTuple):
     velocity: Float[Array, "P 3"]  # derivative in s [m]
     moved: Float[Array, "P"]  # bound on each point's displacement [m]
     bend: Float[Array, "P"]  # bound on each point's |p''| [m]
+    off: Float[Array, "P"] | None = None  # bound on each point's distance from its path [m]; None: 0
 
 
 def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
@@ -84,96 +122,93 @@ def point_motion_bound(
         links: Each point's link, -1 for the world.
     """
     ranges = kinematics.joint_ranges(robot, turns)
-    return _bounds(robot, x, jnp.zeros_like(ranges), ranges, points, links).moved
+    return _bounds(robot, x, JointSweep(jnp.zeros_like(ranges), 0.0), ranges, points, links).moved
 
 
-def body_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> BodySweep:
-    """Return the motion of the bodies on a straight joint path.
+def body_sweep(robot: Robot, x: Joints, sweep: JointSweep) -> BodySweep:
+    """Return the motion of the bodies on an interval of a joint path.
 
     Args:
         robot: The robot.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
     """
-    within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, rates, half)[1])
-    return _swept(within, half)
+    within = jax.tree.map(lambda bounds: bounds[:-1], _of_arm(robot, x, sweep)[1])
+    return _swept(within, sweep.half)
 
 
 def _swept(within: _Bounds, half: Scalar) -> BodySweep:
     off = 0.5 * half * half * within.bend
+    if within.off is not None:
+        off = off + within.off
     along = half * safe_norm(within.velocity) + off
     travel = jnp.minimum(_larger(along), _larger(within.moved))
     p, q = half * within.velocity.reshape(2, -1, 3)
     return BodySweep(p, q, _larger(off), travel)
 
 
-def tcp_sweep(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> TcpSweep:
-    """Return the motion of the TCP on a straight joint path.
+def tcp_sweep(robot: Robot, x: Joints, sweep: JointSweep) -> TcpSweep:
+    """Return the motion of the TCP on an interval of a joint path.
 
     If the same compiled function also calls `body_sweep`, this costs almost nothing.
 
     Args:
         robot: The robot.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
     """
-    points, within = _of_arm(robot, x, rates, half)
-    return TcpSweep(points[-1], within.velocity[-1], within.bend[-1])
+    points, within = _of_arm(robot, x, sweep)
+    return TcpSweep(points[-1], within.velocity[-1], within.bend[-1], None if within.off is None else within.off[-1])
 
 
-def travel_bound(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "K"]:
-    """Return a bound [m] on the displacement of any point of each body from x on a straight joint path.
+def travel_bound(robot: Robot, x: Joints, sweep: JointSweep) -> Float[Array, "K"]:
+    """Return a bound [m] on the displacement of any point of each body from x on an interval of a joint path.
 
     Args:
         robot: The robot.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
     """
-    return body_sweep(robot, x, rates, half).travel
+    return body_sweep(robot, x, sweep).travel
 
 
-def pair_travel_bound(robot: Robot, rows: RowPairs, x: Joints, rates: Joints, half: Scalar) -> Float[Array, "R"]:
+def pair_travel_bound(robot: Robot, rows: RowPairs, x: Joints, sweep: JointSweep) -> Float[Array, "R"]:
     """Return a bound [m] on the displacement of each row's body from x, seen from the row's other side.
 
     Args:
         robot: The robot.
         rows: Both sides of each row.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
     """
     body, other = np.array(rows.body), np.tile(rows.other, 2)
     ends = jnp.concatenate([end[body] for end in kinematics.capsule_segments(robot, x)])
     links = np.tile(np.array(robot.capsule_link)[body], 2)
-    own = kinematics.joint_rates(robot, rates)
-    return _swept(_bounds(robot, x, own, half * jnp.abs(own), ends, links, other), half).travel
+    own = sweep.of_joints(robot)
+    return _swept(_bounds(robot, x, own, own.turns, ends, links, other), sweep.half).travel
 
 
 def point_bend_bound(
-    robot: Robot, x: Joints, rates: Joints, half: Scalar, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
+    robot: Robot, x: Joints, sweep: JointSweep, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
 ) -> Float[Array, "P"]:
-    """Return a bound [m] on the second derivative |p''| of points fixed to links, on a straight joint path.
+    """Return a bound [m] on the second derivative |p''| of points fixed to links, on an interval of a joint path.
 
     Args:
         robot: The robot.
-        x: The middle of the path x + s `rates` [rad or m].
-        rates: Its derivative in s [rad or m].
-        half: Largest |s|.
+        x: The configuration at the interval's middle [rad or m].
+        sweep: The joints' motion about it.
         points: The points at x, world [m].
         links: Each point's link, -1 for the world.
     """
-    own = kinematics.joint_rates(robot, rates)
-    return _bounds(robot, x, own, half * jnp.abs(own), points, links).bend
+    own = sweep.of_joints(robot)
+    return _bounds(robot, x, own, own.turns, points, links).bend
 
 
 @jax.jit
-def _of_arm(robot: Robot, x: Joints, rates: Joints, half: Scalar) -> tuple[Float[Array, "P 3"], _Bounds]:
+def _of_arm(robot: Robot, x: Joints, sweep: JointSweep) -> tuple[Float[Array, "P 3"], _Bounds]:
     """Return the ends of the bodies' axes and, last, the TCP, with their bounds; one function, compiled once."""
-    (points, links), own = arm_points(robot, x), kinematics.joint_rates(robot, rates)
-    return points, _bounds(robot, x, own, half * jnp.abs(own), points, links)
+    (points, links), own = arm_points(robot, x), sweep.of_joints(robot)
+    return points, _bounds(robot, x, own, own.turns, points, links)
 
 
 def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[np.ndarray, "P"]]:
@@ -195,13 +230,13 @@ def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
 def _bounds(
     robot: Robot,
     x: Joints,
-    rates: Float[Array, "J"],
+    sweep: JointSweep,
     turns: Float[Array, "J"],
     points: Float[Array, "P 3"],
     links: Int[np.ndarray, "P"],
     others: Int[np.ndarray, "P"] | None = None,
 ) -> _Bounds:
-    """Return bounds for points at x [m]: every joint q stays within `turns` of its value, and moves at `rates`.
+    """Return bounds for points at x [m]: every joint q stays within `turns` of its value, and moves by `sweep`.
 
     The motion is seen from the world, or from the links `others`.
     """
@@ -209,7 +244,7 @@ def _bounds(
     if robot.coupling is None:
         columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
         own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
-        return _bounds_of_chain(columns, own, rates, turns, hinge)
+        return _bounds_of_chain(columns, own, sweep, turns, hinge)
     columns, parts, rows = kinematics.by_joint(robot, x, points, None).swapaxes(1, 2), [], []
     pairs = np.stack([links, np.full_like(links, -1) if others is None else others], axis=1)
     for pair in np.unique(pairs, axis=0):
@@ -218,7 +253,7 @@ def _bounds(
         chain = np.array(joints, int)
         own = columns[rows[-1]][:, chain]
         levers = jnp.where(hinge[chain][None], safe_norm(own), 1.0)
-        parts.append(_bounds_of_chain(own, levers, rates[chain] * np.array(signs), turns[chain], hinge[chain]))
+        parts.append(_bounds_of_chain(own, levers, sweep.chain(chain, signs), turns[chain], hinge[chain]))
     order = np.argsort(np.concatenate(rows))
     return jax.tree.map(lambda *each: jnp.concatenate(each)[order], *parts)
 
@@ -226,19 +261,23 @@ def _bounds(
 def _bounds_of_chain(
     columns: Float[Array, "P n 3"],
     levers: Float[Array, "P n"],
-    rates: Float[Array, "n"],
+    sweep: JointSweep,
     turns: Float[Array, "n"],
     hinge: Bool[np.ndarray, "n"],
 ) -> _Bounds:
     """Return the bounds for P points by the n joints of a chain, from their velocities per unit speed of each joint."""
-    speeds, bend = jnp.abs(rates), jnp.zeros(len(columns))
+    rates, bend = sweep.rates, jnp.zeros(len(columns))
+    speeds = jnp.abs(rates) if sweep.speeds is None else sweep.speeds
     if not len(hinge):
-        return _Bounds(jnp.zeros((len(columns), 3)), bend, bend)
+        return _Bounds(jnp.zeros((len(columns), 3)), bend, bend, None if sweep.off is None else bend)
     lever, moved = lever_bounds(levers, turns, hinge)
     for j in reversed(range(len(hinge))):
         turned = 2 * jnp.sum(speeds[:j], where=hinge[:j])
         bend = bend + speeds[j] * lever[j] * (turned + (speeds[j] if hinge[j] else 0.0))
-    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend)
+    if sweep.bends is not None:
+        bend = bend + sum(own * lever[j] for j, own in enumerate(sweep.bends))
+    off = None if sweep.off is None else sum(own * lever[j] for j, own in enumerate(sweep.off))
+    return _Bounds(jnp.sum(columns * rates[None, :, None], axis=1), moved, bend, off)
 
 
 def lever_bounds(

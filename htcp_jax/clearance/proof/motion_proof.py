@@ -1,4 +1,4 @@
-"""Proof that a straight joint path is a motion: the arm is clear along it, and the TCP stays in a tube about a line.
+"""Proof that a joint path is a motion: the arm is clear along it, and the TCP stays in a tube about a line.
 
 The proof is by bisection. An interval of the path is proven if every body's free radius at the middle is larger than
 the motion of the body's points within the interval, relative to the obstacle, and the TCP can neither leave the tube
@@ -26,9 +26,10 @@ from jax.typing import ArrayLike
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
 from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
 from htcp_jax.clearance.proof.interval import on_interval
+from htcp_jax.clearance.proof.joint_path import JointPath, StraightPath
 from htcp_jax.clearance.proof.known_rows import KnownRows
 from htcp_jax.clearance.proof.margin import Margin
-from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, JointSweep, tcp_sweep
 from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.numerics import capsule_point_distance, product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
@@ -56,14 +57,13 @@ class Tube(NamedTuple):
 def query_on(
     scene: Scene,
     where: HasWorkpiecePose,
-    a: Joints,
-    b: Joints,
+    path: JointPath,
     tube: Tube | None,
     resolution_m: Float[ArrayLike, ""],
     deepest: Int[ArrayLike, ""],
     kept: Float[ArrayLike, ""],
 ) -> Callable[[Bisection, KnownRows | None], tuple[Bisection, KnownRows | None]]:
-    """Return a function that checks the next interval of the bisection of a straight joint path.
+    """Return a function that checks the next interval of the bisection of a joint path.
 
     Repeated from `initial_state()` as long as the bisection is going, it proves or refutes that the path is clear, and
     that the TCP stays in the tube, if any, with the tube's margin. Its second argument and result are rows
@@ -72,8 +72,7 @@ def query_on(
     Args:
         scene: The scene.
         where: A scenario, or another `HasWorkpiecePose`.
-        a: Start of the path [rad or m].
-        b: End of the path [rad or m].
+        path: The joint path; goals of the task can be required on a straight one only.
         tube: Allowed region of the TCP; None: anywhere.
         resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations. A
             larger clearance is proven where the tube's margin requires it.
@@ -85,29 +84,30 @@ def query_on(
     length = safe_norm(line)
     forwards = line / jnp.where(length > 0, length, 1.0)
     requested = None if tube is None or tube.goals is None else between(scene.task, tube.goals)
+    if requested is not None and not isinstance(path, StraightPath):
+        raise ValueError("goals of the task can be required on a straight joint path only")
 
     def check_next_interval(search: Bisection, known: KnownRows | None) -> tuple[Bisection, KnownRows | None]:
         index, depth, end, proof = search
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1).astype(half.dtype) * half
-        x = a + place * (b - a)
+        x, sweep = path.about(place, half)
         stays, broken = jnp.full((), True), jnp.full((), int(PathVerdict.VALID), jnp.int32)
         if tube is not None:
-            stays, broken = _in_tube(scene, tube, forwards, x, b - a, half)
+            stays, broken = _in_tube(scene, tube, forwards, x, sweep)
         if requested is not None:
-            rows = row_slacks(scene.robot, scene.task.parts, requested, x, b - a, half)
+            rows = row_slacks(scene.robot, scene.task.parts, requested, x, sweep.rates, half)
             stays &= jnp.all(rows.left >= 0) | ~tube.required
             out = jnp.any(rows.broken) & tube.required
             broken = jnp.where((broken == PathVerdict.VALID) & out, int(PathVerdict.OFF_PATH), broken)
         keeps, going_on = depth < KEPT_DEPTH, stays & (broken == PathVerdict.VALID)
         least, at_middle = -resolution_m, -jnp.inf
         if tube is not None and tube.margin is not None:
-            p, v, bend = tcp_sweep(scene.robot, x, b - a, half)
+            p, v, bend, off = tcp_sweep(scene.robot, x, sweep)
             at_middle, travel = tube.margin.at(p), half * safe_norm(v) + 0.5 * bend * half * half + ROUNDING_M
+            travel = travel if off is None else travel + off
             least = jnp.maximum(least, tube.margin.at(p, travel))
-        there, known = on_interval(
-            scene.robot, scene.obstacles, where, x, b - a, half, least, kept, keeps, going_on, known
-        )
+        there, known = on_interval(scene.robot, scene.obstacles, where, x, sweep, least, kept, keeps, going_on, known)
         proven = stays & there.proven
         nearer = (broken == PathVerdict.VALID) & (there.middle < at_middle - ROUNDING_M)
         broken = jnp.where(nearer, int(PathVerdict.BELOW_MARGIN), broken)
@@ -128,12 +128,13 @@ def query_on(
     return check_next_interval
 
 
-def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, rates: Joints, half: Scalar):
+def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, sweep: JointSweep):
     """Return True if the TCP is proven to stay in the tube on an interval about x, and the `PathVerdict` at x."""
-    p, v, bend = tcp_sweep(scene.robot, x, rates, half)
-    bend = bend * half
+    p, v, bend, away = tcp_sweep(scene.robot, x, sweep)
+    half, bend = sweep.half, bend * sweep.half
     off, before, after = _off_line(tube, jnp.stack([p, p - half * v, p + half * v]))
-    stays = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M <= tube.radius
+    farthest = jnp.maximum(before, after) + 0.5 * bend * half + ROUNDING_M
+    stays = (farthest if away is None else farthest + away) <= tube.radius
     speed, is_line = product(forwards, v), jnp.any(forwards != 0)
     inside = stays & (~is_line | (speed >= bend))
     verdict = jnp.where(is_line & (speed < 0), int(PathVerdict.REVERSES), int(PathVerdict.VALID))

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance.proof.motion_bound import point_bend_bound
+from htcp_jax.clearance.proof.motion_bound import JointSweep, point_bend_bound
 from htcp_jax.model import (
     Feature,
     FeatureMotion,
@@ -111,7 +111,7 @@ class _FeatureSweep(FeatureMotion):
         """Return a bound on the second derivative in s of feature number k, a point [m]."""
         feature, (point, _) = self.features[k], self.moving(k)
         link = self.robot.tcp_link if feature.link is None else feature.link
-        return point_bend_bound(self.robot, self.x, self.rates, self.half, point[None], np.array([link]))[0]
+        return point_bend_bound(self.robot, self.x, JointSweep(self.rates, self.half), point[None], np.array([link]))[0]
 
     def velocity(self, function: Callable) -> tuple[Array, Array]:
         """Return the value of a function of the features' vectors at x, and its derivative in s."""
