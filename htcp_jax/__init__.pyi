@@ -18,6 +18,7 @@ from .placement.place import place
 from .planning.extensions import register
 from .planning.method import Method
 from .planning.tracking.null_space import null_space_objective
+from .proving.prove import MotionProof, prove
 from .report import charts
 from .report.reach_study import reach_study
 from .report.report import make_report
@@ -34,6 +35,7 @@ __all__ = [
     "GeneratedDuct",
     "InputError",
     "Method",
+    "MotionProof",
     "NoCloud",
     "ObstacleKind",
     "ObstacleShape",
@@ -68,6 +70,7 @@ __all__ = [
     "place",
     "plan",
     "point_of",
+    "prove",
     "reach_study",
     "reanchor",
     "register",

@@ -46,7 +46,7 @@ PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
     *("system", "caching", "spec"),
     *("model", "solvers", "clearance", "device", "motion", "planning", "reachability"),
-    *("io", "jobs", "runs", "trajectory", "placement", "validation", "viewer", "report", "cli"),
+    *("io", "jobs", "runs", "trajectory", "proving", "placement", "validation", "viewer", "report", "cli"),
 ]
 CORE = PACKAGES[3:10]
 OUTSIDE_CORE = {"yaml", "pyarrow", "matplotlib", "rich", "mujoco"}  # files, charts, tables, simulation

@@ -126,6 +126,26 @@ class CollisionChecker:
         passes = proven & ~self._tip_free_along(inputs, a, b, proven)
         return proof._replace(verdict=np.where(passes, int(SegmentStatus.IN_COLLISION), proof.verdict))
 
+    def clear_edges(
+        self,
+        inputs: LaneInputs,
+        a: Configurations,
+        b: Configurations,
+        margin_m: Float[np.ndarray, "n"],
+        *,
+        kept: float | Float[np.ndarray, "n"] = 0.0,
+    ) -> bisection.Proof:
+        """Prove or refute that the straight joint paths from a to b are clear, without task and bare tip, see `edges`.
+
+        Args:
+            inputs: Scenario and target of each path.
+            a: Starts of the paths [rad or m].
+            b: Ends of the paths [rad or m].
+            margin_m: Required clearance [m]; -inf: only D > 0.
+            kept: Share of D that must remain, see `edges`.
+        """
+        return self.edges(inputs, a, b, free_tubes(self.task, inputs, margin_m), kept=kept, tip=False)
+
     def polynomial_edges(
         self,
         inputs: LaneInputs,

@@ -143,6 +143,11 @@ def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, st
     return robots.capsule_label(problem.robot, name), other
 
 
+def clearances_at(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n"]:
+    """Return D at configurations in the problem's first scenario [m]."""
+    return _Measured.at(problem, 0, x).distance.min(axis=1, initial=np.inf)
+
+
 class _Measured:
     """Distances of all rows at n configurations of a scenario."""
 

@@ -1,0 +1,108 @@
+"""Joint paths of a motion, each with the segment that it belongs to.
+
+At a rounded corner the controller's path is not known. It stays in the triangle of the points at which the zone begins
+and ends and of the corner itself, as a convex combination of both legs does. With a and b those points and c the
+corner, the triangle is the union of the segments from c + u (a - c) to c + u (b - c) with 0 <= u <= 1. A band of u of
+width w about such a segment is within w / 2 max(|a - c|, |b - c|) of it, joint by joint.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+BANDS = 8  # number of bands of a corner's triangle
+PLACES = 64  # places on half a leg at which the distance of the TCP from the corner is measured
+
+
+class JointCurves(NamedTuple):
+    """Polynomial joint paths x(s) = sum_k c_k s^k with 0 <= s <= 1, and how far each joint may be away from them."""
+
+    coefficients: Float[np.ndarray, "m C N"]  # c_0, c_1, ... [rad or m]
+    off: Float[np.ndarray, "m N"]  # largest distance of each joint from the path [rad or m]
+    segment: Int[np.ndarray, "m"]  # segment that each path belongs to, in ascending order
+    span: Float[np.ndarray, "m 2"]  # shares of the segment at which the path begins and ends [1]
+
+    @property
+    def is_straight(self) -> bool:
+        """True if all paths are straight, and no joint may leave them."""
+        return self.coefficients.shape[1] <= 2 and not self.off.any()
+
+    def within(self, off: float | Float[np.ndarray, "N"]) -> "JointCurves":
+        """Return the paths with a larger distance of each joint, as of a servo's lag [rad or m]."""
+        return self._replace(off=self.off + off)
+
+
+def straight(x: Float[np.ndarray, "n N"]) -> JointCurves:
+    """Return the straight joint paths between consecutive configurations [rad or m]."""
+    return polynomials(np.stack([x[:-1], np.diff(x, axis=0)], axis=1))
+
+
+def polynomials(coefficients: Float[np.ndarray, "m C N"]) -> JointCurves:
+    """Return one polynomial per segment, see `JointCurves`."""
+    count, _, joints = coefficients.shape
+    return JointCurves(coefficients, np.zeros((count, joints)), np.arange(count), np.tile([0.0, 1.0], (count, 1)))
+
+
+def corners(
+    x: Float[np.ndarray, "n N"],
+    radius_m: Float[np.ndarray, "n"],
+    tcp_of: Callable[[Float[np.ndarray, "k N"]], Float[np.ndarray, "k 3"]],
+) -> JointCurves:
+    """Return straight joint paths between configurations, and all paths inside rounded corners.
+
+    A zone begins at most half a leg before its corner, as controllers limit it. A corner's paths belong to the segment
+    that leads to it; a segment's straight part lies between the zones at both of its ends.
+
+    Args:
+        x: The configurations [rad or m].
+        radius_m: Distance of the TCP from each configuration at which its zone begins [m]; 0: none. Both ends have none.
+        tcp_of: Function that returns the TCP's positions at configurations, world [m].
+    """
+    count = len(x) - 1
+    rounded = np.zeros(len(x), bool)
+    rounded[1:-1] = radius_m[1:-1] > 0
+    before, after = np.zeros(count), np.zeros(count)  # shares of each segment in the zones at its end and its begin
+    for shares, ends, others in ((before, slice(1, None), slice(None, -1)), (after, slice(None, -1), slice(1, None))):
+        here = np.flatnonzero(rounded[ends])
+        shares[here] = _shares(x[ends][here], x[others][here], radius_m[ends][here], tcp_of)
+    a, b = x[:-1] + after[:, None] * np.diff(x, axis=0), x[1:] - before[:, None] * np.diff(x, axis=0)
+    legs = straight(x)._replace(coefficients=np.stack([a, b - a], axis=1), span=np.stack([after, 1 - before], axis=1))
+    bands = [_bands(k - 1, b[k - 1], x[k], a[k], before[k - 1]) for k in np.flatnonzero(rounded)]
+    found = JointCurves(*(np.concatenate(parts) for parts in zip(legs, *bands, strict=True)))
+    order = np.lexsort((found.span[:, 0], found.segment))
+    return JointCurves(*(part[order] for part in found))
+
+
+def _shares(
+    corner: Float[np.ndarray, "k N"],
+    other: Float[np.ndarray, "k N"],
+    radius_m: Float[np.ndarray, "k"],
+    tcp_of: Callable,
+) -> Float[np.ndarray, "k"]:
+    """Return the share of each leg, from its corner, that is not outside the zone; at most one half.
+
+    A share that is too large adds paths to the proof, and removes none.
+    """
+    if not len(corner):
+        return np.zeros(0)
+    share = np.arange(1, PLACES + 1) / (2 * PLACES)
+    leg = corner[:, None] + share[None, :, None] * (other - corner)[:, None]
+    at = tcp_of(np.concatenate([corner, leg.reshape(-1, corner.shape[1])]))
+    apart = np.linalg.norm(at[len(corner) :].reshape(len(corner), PLACES, 3) - at[: len(corner), None], axis=2)
+    outside = apart >= radius_m[:, None]
+    return share[np.where(outside.any(axis=1), outside.argmax(axis=1), PLACES - 1)]
+
+
+def _bands(segment: int, a: np.ndarray, corner: np.ndarray, b: np.ndarray, share: float) -> JointCurves:
+    """Return the bands of one corner's triangle."""
+    u = (np.arange(BANDS) + 0.5)[:, None] / BANDS
+    start, end = corner + u * (a - corner), corner + u * (b - corner)
+    wide = np.maximum(np.abs(a - corner), np.abs(b - corner)) / (2 * BANDS)
+    return JointCurves(
+        np.stack([start, end - start], axis=1),
+        np.tile(wide, (BANDS, 1)),
+        np.full(BANDS, segment),
+        np.tile([1 - share, 1.0], (BANDS, 1)),
+    )

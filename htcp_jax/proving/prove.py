@@ -1,0 +1,208 @@
+"""Prove or refute motions: `htcp_jax.prove(robot, x, obstacles=...)`.
+
+```python
+proof = htcp_jax.prove("cell.yaml", x)      # x: configurations (n, N), or a batch of motions (M, n, N)
+proof.proven                                 # True, or one value per motion
+proof.clearance_m                            # guaranteed clearance of each segment [m]
+```
+
+A segment is proven if all joint paths that belong to it are clear, see `curves.JointCurves`. It is refuted if one of
+them collides that the controller takes for certain. Otherwise it is undecided: a path inside a corner, or within the
+servo's lag, may collide.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance import Obstacle
+from htcp_jax.clearance.proof import bisection
+from htcp_jax.device import devices, tables
+from htcp_jax.errors import InputError
+from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.proving.curves import JointCurves, straight
+from htcp_jax.proving.scene import Cell, scene_of
+from htcp_jax.spec import ObstacleKind, TaskRowKind
+from htcp_jax.status import SegmentStatus
+
+KEPT = 0.5  # share of the clearance at an interval's middle that is proven on the interval
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProof:
+    """Results of proofs, one per segment; a batch of M motions has arrays (M, m), one motion has arrays (m,)."""
+
+    verdict: Int[np.ndarray, "*M m"]  # `status.SegmentStatus`
+    clearance_m: Float[np.ndarray, "*M m"]  # guaranteed clearance on all of the segment [m]; NaN if it is not proven
+    place: Float[np.ndarray, "*M m"]  # share of the segment at which it is refuted or undecided [1]; NaN if proven
+    queries: Int[np.ndarray, "*M m"]  # number of checked intervals
+
+    @property
+    def proven(self) -> Bool[np.ndarray, "*M"]:
+        """True for motions of which every segment is proven."""
+        return np.asarray((self.verdict == SegmentStatus.VALID).all(axis=-1))
+
+    @property
+    def refuted(self) -> Bool[np.ndarray, "*M"]:
+        """True for motions of which a segment is refuted."""
+        return np.asarray(~np.isin(self.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED)).all(axis=-1))
+
+    @property
+    def guaranteed_m(self) -> Float[np.ndarray, "*M"]:
+        """Guaranteed clearance of each motion [m]; NaN if it is not proven, infinite without obstacles."""
+        return np.asarray(self.clearance_m.min(axis=-1, initial=np.inf))
+
+
+def prove(
+    cell: Cell,
+    x: Float[np.ndarray, "*M n N"],
+    *,
+    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    margin_m: float = 0.0,
+    tracking_rad: float | Sequence[float] = 0.0,
+    kept: float = KEPT,
+    device: str | None = None,
+) -> MotionProof:
+    """Prove or refute that motions along straight joint paths are clear.
+
+    Args:
+        cell: A robot, or a job: a file, the name of an example, a mapping; see `scene_of`.
+        x: Configurations of one motion (n, N), or of M motions (M, n, N), in the order of `robot.joint_names`
+            [rad or m].
+        obstacles: Obstacles in addition to the job's.
+        task: Task rows that replace the job's.
+        overrides: Changes to the job, see `htcp_jax.plan`.
+        margin_m: Required clearance [m].
+        tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
+            per joint.
+        kept: Share of the clearance at an interval's middle that is proven on the interval: larger shares guarantee
+            more clearance and take longer.
+        device: The device; None: a GPU if there is one.
+
+    Returns:
+        One verdict per segment between consecutive configurations.
+
+    Raises:
+        InputError: For invalid input, or configurations of the wrong number of joints or that are not finite.
+    """
+    problem = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device).problem
+    x = _configurations(x, problem)
+    motions, points, joints = (1, *x.shape) if x.ndim == 2 else x.shape
+    flat = x.reshape(motions, points, joints)
+    curves = straight(flat.reshape(-1, joints))
+    within = np.arange(motions * points - 1) % points < points - 1  # without the steps from motion to motion
+    curves = JointCurves(*tables.gather(tuple(curves), within))
+    curves = curves._replace(segment=np.arange(len(curves.segment)))
+    lag = np.asarray(tracking_rad, float)
+    if lag.ndim > 1 or (lag.ndim and lag.shape != (joints,)) or not (lag >= 0).all() or not np.isfinite(lag).all():
+        raise InputError(f"tracking_rad is {tracking_rad}; valid: one number of 0 or more, or {joints} of them")
+    found = prove_curves(problem, curves.within(lag), margin_m=margin_m, kept=kept)
+    shape = (points - 1,) if x.ndim == 2 else (motions, points - 1)
+    return MotionProof(
+        found.verdict.reshape(shape),
+        found.clearance_m.reshape(shape),
+        found.place.reshape(shape),
+        found.queries.reshape(shape),
+    )
+
+
+def prove_curves(
+    problem: Problem,
+    curves: JointCurves,
+    *,
+    margin_m: float = 0.0,
+    kept: float = KEPT,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> MotionProof:
+    """Prove or refute that joint paths are clear in a problem's first scenario; one verdict per segment.
+
+    Args:
+        problem: The problem, see `scene_of`.
+        curves: The joint paths.
+        margin_m: Required clearance [m].
+        kept: See `prove`.
+        progress: Function that is called with the numbers of paths proven so far, and of all paths.
+    """
+    done, count = 0, len(curves.segment)
+    if not count:
+        empty = np.zeros(0)
+        return MotionProof(empty.astype(np.int32), empty, empty, empty.astype(np.int32))
+
+    def run(checker: CollisionChecker, share: slice) -> bisection.Proof:
+        nonlocal done
+        parts = []
+        for part in tables.portions(tables.gather(tuple(curves), share)):
+            parts.append(_proofs(problem, checker, JointCurves(*part), margin_m, kept))
+            done += len(part[-1])
+            progress(done, count)
+        return tables.concatenate(parts)
+
+    with devices.on(problem.devices[0]):
+        found = tables.interleaved(problem.in_threads(run, min(problem.threads, count)))
+    return _by_segment(curves, found)
+
+
+def _proofs(
+    problem: Problem, checker: CollisionChecker, curves: JointCurves, margin_m: float, kept: float
+) -> bisection.Proof:
+    """Return one proof per joint path; straight ones are proven by the executable that plans use."""
+    count, required = len(curves.segment), margin_m if margin_m > 0 else -np.inf
+    inputs, margins = problem.inputs(np.zeros(count, int), 0), np.full(count, required)
+    if curves.is_straight:
+        a = curves.coefficients[:, 0]
+        return checker.clear_edges(inputs, a, a + curves.coefficients[:, 1], margins, kept=kept)
+    return checker.polynomial_edges(inputs, curves.coefficients, curves.off, margins, kept=kept)
+
+
+def _by_segment(curves: JointCurves, proofs: bisection.Proof) -> MotionProof:
+    """Return the proofs of all paths as one verdict per segment."""
+    count = int(curves.segment[-1]) + 1
+    verdict = np.where(
+        _is_certain(curves), proofs.verdict, np.minimum(proofs.verdict, 1) * int(SegmentStatus.UNDECIDED)
+    )
+    place = curves.span[:, 0] + proofs.place * (curves.span[:, 1] - curves.span[:, 0])
+    # The first refuted path of a segment decides, else the first undecided one, else all are proven.
+    rank = np.where(verdict == SegmentStatus.VALID, 2, np.where(verdict == SegmentStatus.UNDECIDED, 1, 0))
+    order = np.lexsort((place, rank, curves.segment))
+    first = order[np.searchsorted(curves.segment[order], np.arange(count))]
+    proven = rank[first] == 2
+    clearance, queries = np.full(count, np.inf), np.zeros(count, np.int64)
+    np.minimum.at(clearance, curves.segment, proofs.clearance)
+    np.add.at(queries, curves.segment, proofs.queries)
+    return MotionProof(
+        verdict[first].astype(np.int32),
+        np.where(proven, clearance, np.nan),
+        np.where(proven, np.nan, place[first]),
+        queries,
+    )
+
+
+def _is_certain(curves: JointCurves) -> Bool[np.ndarray, "m"]:
+    """Return True for paths that the controller takes, up to its lag; False for those inside a corner."""
+    shared = np.diff(curves.span[:, 0], prepend=np.nan) == 0  # bands of a corner have one span
+    same = np.diff(curves.segment, prepend=-1) == 0
+    band = shared & same
+    return ~(band | np.append(band[1:], False))
+
+
+def _configurations(x: Any, problem: Problem) -> Float[np.ndarray, "*M n N"]:
+    """Return validated configurations.
+
+    Raises:
+        InputError: For a wrong shape, for fewer than two configurations, and for a value that is not finite.
+    """
+    x, names = np.asarray(x, float), problem.robot.joint_names
+    if x.ndim not in (2, 3) or x.shape[-1] != len(names) or x.shape[-2] < 2:
+        raise InputError(
+            f"the configurations have the shape {x.shape}; valid: (n, {len(names)}) or (M, n, {len(names)}), with n of 2 "
+            f"or more, for the joints {', '.join(names)}"
+        )
+    if not np.isfinite(x).all():
+        where = np.argwhere(~np.isfinite(x))[0].tolist()
+        raise InputError(f"the value of {names[where[-1]]} at index {tuple(where[:-1])} is not finite")
+    return x

@@ -1,0 +1,92 @@
+"""The scene in which motions are proven: a job's robot, part, cell and task, as a `Problem` of one scenario."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from htcp_jax import jobs
+from htcp_jax.clearance import Obstacle
+from htcp_jax.device import devices
+from htcp_jax.errors import InputError
+from htcp_jax.io.parts import NoCloud, load_workpiece
+from htcp_jax.jobs import load_config, source_of, with_kinds
+from htcp_jax.model import Robot, kinematics, make_scenario
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import Execution, Problem
+from htcp_jax.spec import ObstacleKind, PlanConfig, TaskRowKind, numbers_of
+
+Cell = Robot | str | Path | Mapping[str, Any] | None
+
+
+class ProofScene(NamedTuple):
+    """Scene of proofs."""
+
+    problem: Problem  # one scenario
+    job: PlanConfig | None  # the job, resolved; None: the scene was made from a robot
+    has_part: bool  # False: no workpiece, and no path
+
+
+def scene_of(
+    cell: Cell = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
+    device: str | None = None,
+) -> ProofScene:
+    """Return the scene of a job, or of a robot and obstacles.
+
+    A job that states its robot or cell, but no section `workpiece`, has no part. A start is not needed.
+
+    Args:
+        cell: A robot, or a job: a YAML file, the name of an example, or a mapping of a file's keys. None: the default
+            job.
+        overrides: Changes to the job, see `htcp_jax.plan`.
+        obstacles: Obstacles in addition to the job's.
+        task: Task rows that replace the job's.
+        device: The device, see `device.devices`. None: a GPU if there is one.
+
+    Raises:
+        InputError: If the input is invalid.
+    """
+    first = devices.choose(device)[0]
+    with devices.on(first):
+        if isinstance(cell, Robot):
+            if overrides or task is not None:
+                raise InputError("overrides and task rows change a job; pass a job in place of the robot")
+            return ProofScene(_without_part(cell, obstacles, None, device), None, False)
+        built = tuple(each for each in obstacles if isinstance(each, Obstacle))
+        kinds = [each for each in obstacles if not isinstance(each, Obstacle)]
+        job, source = with_kinds(load_config(cell, overrides), kinds, task), source_of(cell)
+        job = job.model_copy(update={"settings": job.settings.on(first.platform)})
+        if job.start_rad == ():
+            job = job.model_copy(update={"start_rad": "auto"})
+        job, robot = jobs.build.with_robot(job, source)
+        others = (*jobs.build.obstacles_of(job.cell, robot), *built)
+        if not job.model_fields_set & {"robot", "cell"} or "workpiece" in job.model_fields_set:
+            workpiece = jobs.build.workpiece_of(job.workpiece, robot)
+            there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
+            own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)
+            found = Problem.of(robot, workpiece, there, job.settings, own_task, others, execution, check_paths=False)
+            return ProofScene(found, job, True)
+        longer = robots.lengthen_tool(robot, job.robot.tool_extension_m)
+        return ProofScene(_without_part(longer, others, job, device), job, False)
+
+
+def _without_part(
+    robot: Robot, obstacles: Sequence[Obstacle | ObstacleKind], job: PlanConfig | None, device: str | None
+) -> Problem:
+    """Return a problem with a part of no walls; its path is one point, at the TCP in the middle of the joint limits."""
+    middle = np.clip(0.5 * (np.maximum(robot.lower, -10.0) + np.minimum(robot.upper, 10.0)), robot.lower, robot.upper)
+    tcp = np.asarray(kinematics.tcp_position(robot, middle))
+    workpiece = load_workpiece(
+        NoCloud(), tcp[None], pivot=np.zeros(3), neutral_translation=np.zeros(3), origin=(0.0, 0.0, 0.0)
+    )
+    there = make_scenario(robot, workpiece, middle, rotation=(0.0, 0.0), approach=(0, 0), beyond_reach="record")
+    if job is not None and job.cell.obstacles:
+        there = replace(there, obstacle_numbers=numbers_of(job.cell.obstacles))
+    settings = None if job is None else job.settings
+    return Problem.of(robot, workpiece, there, settings, None, obstacles, Execution(device), check_paths=False)
