@@ -142,7 +142,7 @@ class CollisionChecker:
             a: Starts of the paths [rad or m].
             b: Ends of the paths [rad or m].
             margin_m: Required clearance [m]; -inf: only D > 0.
-            kept: Share of D that must remain, see `edges`.
+            kept: Share of D that must remain, see `edges` [1].
         """
         return self.edges(inputs, a, b, free_tubes(self.task, inputs, margin_m), kept=kept, tip=False)
 
@@ -164,7 +164,7 @@ class CollisionChecker:
             coefficients: c_0, c_1, ... of x(s) = sum_k c_k s^k with 0 <= s <= 1 [rad or m].
             off: Largest distance of each joint from the polynomial [rad or m].
             margin_m: Required clearance [m]; -inf: only D > 0.
-            kept: Share of D that must remain, see `edges`.
+            kept: Share of D that must remain, see `edges` [1].
         """
         rows = np.zeros((len(off), joint_path.COEFFICIENTS, off.shape[1]))
         rows[:, : coefficients.shape[1]] = coefficients

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 BANDS = 8  # number of bands of a corner's triangle
 PLACES = 64  # places on half a leg at which the distance of the TCP from the corner is measured
@@ -23,6 +23,7 @@ class JointCurves(NamedTuple):
     off: Float[np.ndarray, "m N"]  # largest distance of each joint from the path [rad or m]
     segment: Int[np.ndarray, "m"]  # segment that each path belongs to, in ascending order
     span: Float[np.ndarray, "m 2"]  # shares of the segment at which the path begins and ends [1]
+    is_certain: Bool[np.ndarray, "m"]  # True: the controller takes this path, within `off`; False: one of several
 
     @property
     def is_straight(self) -> bool:
@@ -42,7 +43,8 @@ def straight(x: Float[np.ndarray, "n N"]) -> JointCurves:
 def polynomials(coefficients: Float[np.ndarray, "m C N"]) -> JointCurves:
     """Return one polynomial per segment, see `JointCurves`."""
     count, _, joints = coefficients.shape
-    return JointCurves(coefficients, np.zeros((count, joints)), np.arange(count), np.tile([0.0, 1.0], (count, 1)))
+    span, certain = np.tile([0.0, 1.0], (count, 1)), np.ones(count, bool)
+    return JointCurves(coefficients, np.zeros((count, joints)), np.arange(count), span, certain)
 
 
 def corners(
@@ -57,7 +59,7 @@ def corners(
 
     Args:
         x: The configurations [rad or m].
-        radius_m: Distance of the TCP from each configuration at which its zone begins [m]; 0: none. Both ends have none.
+        radius_m: Distance of the TCP from each configuration at which its zone begins [m]; 0, and at both ends: none.
         tcp_of: Function that returns the TCP's positions at configurations, world [m].
     """
     count = len(x) - 1
@@ -105,4 +107,5 @@ def _bands(segment: int, a: np.ndarray, corner: np.ndarray, b: np.ndarray, share
         np.tile(wide, (BANDS, 1)),
         np.full(BANDS, segment),
         np.tile([1 - share, 1.0], (BANDS, 1)),
+        np.zeros(BANDS, bool),
     )

@@ -162,9 +162,9 @@ def _proofs(
 def _by_segment(curves: JointCurves, proofs: bisection.Proof) -> MotionProof:
     """Return the proofs of all paths as one verdict per segment."""
     count = int(curves.segment[-1]) + 1
-    verdict = np.where(
-        _is_certain(curves), proofs.verdict, np.minimum(proofs.verdict, 1) * int(SegmentStatus.UNDECIDED)
-    )
+    # A path that may not be taken refutes nothing.
+    unproven = np.where(curves.is_certain, proofs.verdict, int(SegmentStatus.UNDECIDED))
+    verdict = np.where(proofs.verdict == SegmentStatus.VALID, int(SegmentStatus.VALID), unproven)
     place = curves.span[:, 0] + proofs.place * (curves.span[:, 1] - curves.span[:, 0])
     # The first refuted path of a segment decides, else the first undecided one, else all are proven.
     rank = np.where(verdict == SegmentStatus.VALID, 2, np.where(verdict == SegmentStatus.UNDECIDED, 1, 0))
@@ -182,14 +182,6 @@ def _by_segment(curves: JointCurves, proofs: bisection.Proof) -> MotionProof:
     )
 
 
-def _is_certain(curves: JointCurves) -> Bool[np.ndarray, "m"]:
-    """Return True for paths that the controller takes, up to its lag; False for those inside a corner."""
-    shared = np.diff(curves.span[:, 0], prepend=np.nan) == 0  # bands of a corner have one span
-    same = np.diff(curves.segment, prepend=-1) == 0
-    band = shared & same
-    return ~(band | np.append(band[1:], False))
-
-
 def _configurations(x: Any, problem: Problem) -> Float[np.ndarray, "*M n N"]:
     """Return validated configurations.
 
@@ -199,8 +191,8 @@ def _configurations(x: Any, problem: Problem) -> Float[np.ndarray, "*M n N"]:
     x, names = np.asarray(x, float), problem.robot.joint_names
     if x.ndim not in (2, 3) or x.shape[-1] != len(names) or x.shape[-2] < 2:
         raise InputError(
-            f"the configurations have the shape {x.shape}; valid: (n, {len(names)}) or (M, n, {len(names)}), with n of 2 "
-            f"or more, for the joints {', '.join(names)}"
+            f"the configurations have the shape {x.shape}; valid: (n, {len(names)}) or (M, n, {len(names)}), with n of "
+            f"2 or more, for the joints {', '.join(names)}"
         )
     if not np.isfinite(x).all():
         where = np.argwhere(~np.isfinite(x))[0].tolist()
