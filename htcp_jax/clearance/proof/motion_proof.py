@@ -77,8 +77,8 @@ def query_on(
         resolution_m: The proof is D > -resolution_m on all of the path, and D > 0 at the sampled configurations. A
             larger clearance is proven where the tube's margin requires it.
         deepest: Maximum number of halvings. With fewer halvings, more paths near obstacles remain undecided.
-        kept: Share of D at an interval's middle that must be proven on all of the interval [1]. Otherwise the interval is
-            halved further, up to KEPT_DEPTH times. With 0, the recorded clearance is the required one.
+        kept: Share of D at an interval's middle that must be proven on all of the interval [1]. Otherwise the interval
+            is halved further, up to KEPT_DEPTH times. With 0, the recorded clearance is the required one.
     """
     line = jnp.zeros(3) if tube is None else tube.end - tube.start
     length = safe_norm(line)
