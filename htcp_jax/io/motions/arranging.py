@@ -24,8 +24,8 @@ def arranged(source: Source, rows: Rows, format: str, requested: str | None) -> 
         requested: The required interpolation; None: the format's.
 
     Raises:
-        InputError: For no or invalid configurations, times that do not increase, joints that differ from the robot's, and
-            an interpolation that the file does not support.
+        InputError: For no or invalid configurations, times that do not increase, joints that differ from the robot's,
+            and an interpolation that the file does not support.
     """
     interpolation = _interpolation(source, rows, requested)
     if rows.poses is not None:

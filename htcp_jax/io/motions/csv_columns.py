@@ -19,6 +19,7 @@ TAIL = re.compile(rf"[\s_./:-]*(?:({')|('.join(WORDS.values())}))?[\s_./:-]*(?:(
 HEADS = re.compile(rf"(?:({')|('.join(WORDS.values())})|q)[\s_./:-]+(.+)", re.IGNORECASE)
 PLAIN_TIMES = {"time", "times", "t", "time_from_start"}
 SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+OF_TCP = re.compile(r"tcp|tool|pose|orient|(^|_)(r[xyz]|roll|pitch|yaw|tilt)(_|$)|error|deviation")  # no joints
 ROW_KIND = "kind"
 PLAN_TABLE = {"segment_status", "path_clear", "residual_m"}  # columns of a plan's trajectory.csv
 
@@ -144,7 +145,8 @@ def _is_joint(heading: str, known: Sequence[str]) -> bool:
     text = _without_brackets(heading.strip().strip("\"'")).lower()
     stems = {re.sub(r"\d+", "#", name.lower()) for name in known if re.search(r"\d", name)}
     bare = re.sub(r"_(rad|deg|m|mm)(_s2?)?$", "", text)
-    return re.sub(r"\d+", "#", bare) in stems or re.search(r"_(rad|deg|degrees|radians)$", text) is not None
+    is_angle = re.search(r"_(rad|deg|degrees|radians)$", text) is not None and OF_TCP.search(text) is None
+    return re.sub(r"\d+", "#", bare) in stems or is_angle
 
 
 def scales(source: Source, columns: Columns, line: int) -> tuple[dict[tuple[str, str], float], list[str]]:

@@ -23,9 +23,9 @@ MOVES = "MOVJ", "MOVL", "MOVC", "MOVS"
 # Instructions that do not move the arm.
 STILL = {
     "NOP", "END", "TIMER", "DOUT", "PULSE", "WAIT", "SET", "SETE", "CLEAR", "INC", "DEC", "AOUT", "ARATION", "ARATIOF",
-    "ARCON", "ARCOF", "ARCSET", "AWELD", "VWELD", "ARCCTS", "ARCCTE", "MSG", "SPEED", "PAUSE", "DIN", "GETE", "ADD", "SUB",
-    "MUL", "DIV", "CNVRT", "GETS", "ABORT", "HAND", "SPYON", "SPYOF", "TSYNC", "DIALOG", "CLOSE", "OPEN", "ADVINIT",
-    "ADVSTOP", "COMM", "VELOON", "VELOOF",
+    "ARCON", "ARCOF", "ARCSET", "AWELD", "VWELD", "ARCCTS", "ARCCTE", "MSG", "SPEED", "PAUSE", "DIN", "GETE", "ADD",
+    "SUB", "MUL", "DIV", "CNVRT", "GETS", "ABORT", "HAND", "SPYON", "SPYOF", "TSYNC", "DIALOG", "CLOSE", "OPEN",
+    "ADVINIT", "ADVSTOP", "COMM", "VELOON", "VELOOF",
 }  # fmt: skip
 CONTROL = {"JUMP", "CALL", "IF", "IFTHEN", "ELSE", "ELSEIF", "ELSEIFTHEN", "ENDIF", "WHILE", "ENDWHILE", "FOR", "NEXT",
            "RET", "SWITCH", "CASE", "DEFAULT", "ENDSWITCH", "PSTART", "PWAIT", "CWAIT", "UNTIL"}  # fmt: skip
@@ -64,6 +64,7 @@ def read_jbi_pulses(source: Source) -> Rows:
     for line, instruction, skipped in _moves(source, job, ("MOVJ",)):
         used = [(kind, int(number)) for kind, number in VARIABLE.findall(instruction)]
         kinds = [kind for kind, _ in used]
+        _check_complete(source, line, instruction)
         if wrong := [kind for kind in kinds if kind not in KINDS]:
             source.fail(
                 line, f"position variables {wrong[0]} belong to the controller; only C, BC and EC of the job are read"
@@ -88,7 +89,7 @@ def read_jbi_pulses(source: Source) -> Rows:
     notes = [
         "INFORM: MOVJ moves the joints in proportion, linear between configurations.",
         FROM_HERE,
-        *_notes(source, job),
+        *_notes(job),
     ]
     if rounded:
         notes.append(
@@ -111,6 +112,7 @@ def read_jbi(source: Source) -> Rows:
     poses, lines = [], []
     for line, instruction, _ in _moves(source, job, MOVES):
         used = [(kind, int(number)) for kind, number in VARIABLE.findall(instruction)]
+        _check_complete(source, line, instruction)
         if [kind for kind, _ in used] != ["C"]:
             source.fail(line, "only one position C of the job can be read as a pose")
         position = _position(source, job, line, used[0])
@@ -124,7 +126,7 @@ def read_jbi(source: Source) -> Rows:
         "jbi: poses of the TCP; the configurations and the motion between the poses are the controller's own.",
         f"Frame: {job.about.get('POSTYPE', 'unknown')} {job.about.get('USER', '')}".rstrip()
         + f", tool {job.about.get('TOOL', 'unknown')}; RCONF is not used.",
-        *_notes(source, job),
+        *_notes(job),
     ]
     empty = np.zeros((0, source.robot.dof))
     found = np.array(poses) if poses else np.zeros((0, 4, 4))
@@ -169,7 +171,9 @@ def _job(source: Source) -> _Job:
         elif line.strip() and not line.startswith("/"):
             source.fail(k, f"{line.strip()[:40]!r} is not a position")
     body = [(k, line.strip()) for k, line in enumerate(lines[at + 1 :], start=at + 2) if line.strip()]
-    return _Job(positions, [(k, line) for k, line in body if not line.startswith("///")], about)
+    job = _Job(positions, [(k, line) for k, line in body if not line.startswith("///")], about)
+    _check_counts(source, job)
+    return job
 
 
 def _moves(source: Source, job: _Job, readable: tuple[str, ...]) -> list[tuple[int, str, bool]]:
@@ -197,9 +201,36 @@ def _moves(source: Source, job: _Job, readable: tuple[str, ...]) -> list[tuple[i
     return [(k, line, n == len(found) - 1) for n, (k, line) in enumerate(found)]
 
 
-def _notes(source: Source, job: _Job) -> list[str]:
+def _notes(job: _Job) -> list[str]:
     still = sorted({line.split(maxsplit=1)[0] for _, line in job.instructions} & STILL - {"NOP", "END"})
-    return [f"Instructions that do not move are not read: {listed(still)}."] if still else []
+    notes = [f"Instructions that do not move are not read: {listed(still)}."] if still else []
+    text = " ".join(line for _, line in job.instructions)
+    used = {(kind, int(number)) for kind, number in VARIABLE.findall(text)}
+    if unused := [f"{kind}{number:05d}" for kind, number in job.positions if (kind, number) not in used]:
+        notes.append(f"Positions that no instruction uses: {listed(unused)}.")
+    return notes
+
+
+def _check_complete(source: Source, line: int, instruction: str) -> None:
+    """Check that an instruction has no condition that ends its move early.
+
+    Raises:
+        InputError: If it has one.
+    """
+    if (found := re.search(r"\b(UNTIL|SRCH|ENWAIT)\b", instruction)) is not None:
+        source.fail(line, f"{found[1]} ends a move early, which cannot be read")
+
+
+def _check_counts(source: Source, job: _Job) -> None:
+    """Check the number of positions that the job states.
+
+    Raises:
+        InputError: If it has another number of them.
+    """
+    stated = job.about.get("NPOS")
+    counts = [sum(kind == each for kind, _ in job.positions) for each in ("C", "BC", "EC", "P", "BP", "EX")]
+    if stated is not None and [cell.strip() for cell in stated.split(",")] != [str(count) for count in counts]:
+        raise InputError(f"{source.file}: ///NPOS {stated}, but the job has {','.join(map(str, counts))} positions")
 
 
 def _position(source: Source, job: _Job, line: int, key: tuple[str, int]) -> _Position:

@@ -32,8 +32,8 @@ def polynomials(motion: MotionFile) -> Float[np.ndarray, "m K N"]:
     """Return the coefficients of each segment, x(s) = sum_i c[k, i] s^i for 0 <= s <= 1.
 
     Segment k leads from configuration k to k + 1. K is 2 for linear interpolation. It is 4 for cubic and 6 for quintic
-    Hermite interpolation, which keep velocities, or velocities and accelerations, at the ends (Biagiotti and Melchiorri,
-    Trajectory Planning for Automatic Machines and Robots, sections 2.1.2 and 2.1.3).
+    Hermite interpolation, which keep velocities, or velocities and accelerations, at the ends (Biagiotti and
+    Melchiorri, Trajectory Planning for Automatic Machines and Robots, sections 2.1.2 and 2.1.3).
 
     Args:
         motion: The motion [rad or m].

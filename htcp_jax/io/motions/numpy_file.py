@@ -38,13 +38,15 @@ def read_npz(source: Source) -> Rows:
     arrays = read_archive(source.data, source.file, texts=True)
     if OF_A_PLAN <= arrays.keys():
         raise InputError(f"{source.file}: a plan's arrays with one row per target; its motion is in motion.csv")
-    found, used = {}, []
+    found: dict[str, np.ndarray] = {}
+    used: list[str] = []
     for what, names in KEYS.items():
         here = [name for name in names if name in arrays]
         if len(here) > 1:
             raise InputError(f"{source.file}: the arrays {' and '.join(here)} both hold {what}")
-        found |= {what: arrays[name] for name in here}
-        used += here
+        if here:
+            found[what] = arrays[here[0]]
+            used += here
     if "configurations" not in found:
         valid = ", ".join(KEYS["configurations"])
         raise InputError(f"{source.file} has no array of configurations; valid: {valid}; there: {listed([*arrays])}")

@@ -1,7 +1,7 @@
 """ABB's RAPID: MoveAbsJ with joint targets in lists or constants, its times and zones.
 
-MoveAbsJ moves all axes along straight joint paths. In a zone the controller leaves this path within a radius of the TCP,
-at most half the distance to the next position. Source: ABB, Technical reference manual, RAPID Instructions, Functions
+MoveAbsJ moves all axes along straight joint paths. In a zone the controller leaves this path within a radius around the
+TCP, at most half the distance to the next position. Source: ABB, Technical reference manual, RAPID Instructions, Functions
 and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
 """
 
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions.rapid_order import executed
 from htcp_jax.io.motions.rapid_statements import Statement, statements
 from htcp_jax.io.motions.source import DEG, Rows, Source, corners, elapsed, listed
 
@@ -29,12 +30,10 @@ STILL = {
     "accset", "velset", "confj", "confl", "singarea", "setdo", "setgo", "setao", "set", "reset", "pulsedo", "invertdo",
     "waittime", "waitdi", "waitdo", "waituntil", "waitsynctask", "tpwrite", "tperase", "tpshow", "errwrite", "actunit",
     "deactunit", "gripload", "clkreset", "clkstart", "clkstop", "stop", "incr", "decr", "add", "clear", "idelete",
-    "ienable", "idisable", "isignaldi", "isignaldo", "connect", "pathacclim", "worldacclim", "motionsup", "open", "close",
-    "write", "socketsend", "socketcreate", "socketconnect", "socketclose", "waitrob", "return", "exit", "break",
-    "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uiMsgBox".lower(),
+    "ienable", "idisable", "isignaldi", "isignaldo", "connect", "pathacclim", "worldacclim", "motionsup", "open",
+    "close", "write", "socketsend", "socketcreate", "socketconnect", "socketclose", "waitrob", "return", "exit", "break",
+    "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uimsgbox",
 }  # fmt: skip
-ENDS = {"return", "exit"}
-MOVES = re.compile(r"move|trigg[jlca]|search|arc[lc]|arcmove|paint|spot|disp[lc]|egm|indamove|indrmove|indcmove|indmove|cap[lc]|softact|eoffson|eoffsset|stepbwd")  # fmt: skip
 FROM_HERE = "The motion to the first configuration is not in the file."
 
 
@@ -58,8 +57,8 @@ def read_rapid(source: Source) -> Rows:
     external = (*base, *station)
     if len(robot_group) != AXES:
         raise InputError(
-            f"{source.file}: a robot of {len(robot_group)} joints; robjoint has {AXES}; set program.groups: {{robot: [...], "
-            "base: [...], station: [...]}"
+            f"{source.file}: a robot of {len(robot_group)} joints; robjoint has {AXES}; set program.groups to the "
+            "joints of robot, base and station"
         )
     moves, notes = _moves(source)
     values, corners_m = np.zeros((len(moves), source.robot.dof)), []
@@ -102,83 +101,37 @@ def _uncoupled(source: Source, values: np.ndarray, scale: np.ndarray) -> tuple[n
 
 def _moves(source: Source) -> tuple[list[_Move], list[str]]:
     every = list(statements(source))
-    moving = _routine_of_moves(source, every)
+    order = executed(source, every)
     known: dict[str, Any] = {}
     types: dict[str, str] = {}
-    persistent, still, moves, ended = set(), set(), [], None
-    for statement in every:
-        if statement.routine not in ("", moving) or statement.handler:
-            continue
+    persistent: set[str] = set()
+    still: set[str] = set()
+    moves = []
+    for statement in [each for each in every if not each.routine] + order:
         if (declared := DECLARATION.fullmatch(statement.text)) is not None:
             how, type_, name, dimensions, value = declared.groups()
             types[name.lower()] = type_.lower()
             if type_.lower() in READ_TYPES and value is not None and not dimensions:
                 known[name.lower()] = _value(value, known)
-                persistent |= {name.lower()} if how.upper() == "PERS" and type_.lower() == "jointtarget" else set()
+                persistent |= {name} if how.upper() == "PERS" and type_.lower() == "jointtarget" else set()
+        elif not statement.routine:
             continue
-        if not statement.routine:
-            continue
-        if statement.flow:
-            source.fail(statement.line, f"{statement.text.split()[0].upper()} controls the flow, which cannot be read")
-        if ended is not None:
-            source.fail(statement.line, f"an instruction after {ended}, which ends the procedure")
-        word = re.match(r"\w*", statement.text)[0].lower()
-        if word == "moveabsj":
+        elif statement.word == "moveabsj":
             moves.append(_move(source, statement, known))
         elif (assigned := ASSIGNMENT.fullmatch(statement.text)) is not None:
             name, part, value = assigned.groups()
             if types.get(name.lower()) in READ_TYPES:
                 known[name.lower()] = None if part else _value(value, known)
             still.add(":=")
-        elif MOVES.match(word):
-            _refuse_move(source, statement)
-        elif word in STILL:
-            ended = statement.text if word in ENDS else None
+        elif statement.word in STILL:
             still.add(statement.text.split()[0])
-        elif re.fullmatch(r"\w+\s*:", statement.text):  # a label; a jump to it is refused
-            continue
-        else:
+        elif not re.fullmatch(r"\w+\s*:", statement.text):  # a label; a jump to it is refused
             text = f"{statement.text.split()[0][:40]} is not known, it may move"
             source.fail(statement.line, f"{text}; only MoveAbsJ can be read")
     notes = [f"Instructions that do not move are not read: {listed(sorted(still))}."] if still else []
     if persistent:
         notes.append(f"Persistent variables have the values of the file: {listed(sorted(persistent))}.")
     return moves, notes
-
-
-def _routine_of_moves(source: Source, every: list[Statement]) -> str:
-    """Return the only procedure that moves.
-
-    Raises:
-        InputError: If there is none or more than one, or if it is called in a way that cannot be read.
-    """
-    found: dict[str, Statement] = {}
-    for statement in every:
-        word = re.match(r"\w*", statement.text)[0].lower()
-        if MOVES.match(word) and statement.routine:
-            if word != "moveabsj":
-                _refuse_move(source, statement)
-            if statement.kind != "proc" or statement.handler:
-                what = "an error handler" if statement.handler else f"a {statement.kind.upper()}"
-                source.fail(statement.line, f"a move in {what}, which cannot be read")
-            found.setdefault(statement.routine, statement)
-    if not found:
-        raise InputError(f"{source.file} contains no MoveAbsJ in a procedure")
-    if len(found) > 1:
-        second = [*found.values()][1]
-        source.fail(second.line, f"a second procedure that moves, after {[*found][0]}; valid: one")
-    (moving,) = found
-    calls = [s for s in every if s.text.lower() == moving and s.routine and not s.handler]
-    for k, call in enumerate(calls):
-        others = [s for s in every if s.routine == call.routine and s.flow and not s.handler]
-        if k or others or call.routine == moving:
-            source.fail(call.line, f"a call of {moving}, which moves; valid: one call outside of loops and branches")
-    return moving
-
-
-def _refuse_move(source: Source, statement: Statement) -> None:
-    word = re.match(r"\w*", statement.text)[0]
-    source.fail(statement.line, f"{word} moves in a way that cannot be read; only MoveAbsJ is")
 
 
 def _move(source: Source, statement: Statement, known: dict[str, Any]) -> _Move:

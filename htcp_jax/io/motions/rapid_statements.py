@@ -27,6 +27,11 @@ class Statement(NamedTuple):
     handler: bool  # True in an error handler, which runs only after errors
     flow: bool  # True for a word of the control flow
 
+    @property
+    def word(self) -> str:
+        """The first word in lower case."""
+        return re.split(r"\W", self.text, maxsplit=1)[0].lower()
+
 
 def statements(source: Source) -> Iterator[Statement]:
     """Yield the statements of all modules in a file.

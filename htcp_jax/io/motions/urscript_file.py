@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.errors import InputError
 from htcp_jax.io.motions.source import DEG, Rows, Source, corners, elapsed, listed
 
 ARGUMENTS = {  # names in order, of those that are used or skipped
@@ -25,11 +24,13 @@ STILL = {
     "set_flag", "set_safety_mode_transition_hardness", "reset_world_model", "modbus_set_output_register",
     "modbus_set_output_signal", "socket_open", "socket_close", "socket_send_string", "write_output_integer_register",
     "write_output_float_register", "write_output_boolean_register", "set_standard_analog_input_domain",
-    "set_tool_analog_input_domain", "set_analog_outputdomain", "set_input_actions_to_default", "request_string_from_client",
+    "set_tool_analog_input_domain", "set_analog_outputdomain", "set_input_actions_to_default",
 }  # fmt: skip
-MOVES = {"movel", "movep", "movec", "servoc", "servol", "speedj", "speedl", "force_mode", "freedrive_mode", "teach_mode",
-         "conveyor_pulse_decode", "track_conveyor_linear", "track_conveyor_circular", "path_offset_set", "direct_torque",
-         "stopl", "optimovej", "optimovel"}  # fmt: skip
+MOVES = {
+    "movel", "movep", "movec", "servoc", "servol", "speedj", "speedl", "force_mode", "freedrive_mode", "teach_mode",
+    "track_conveyor_linear", "track_conveyor_circular", "path_offset_set", "direct_torque", "stopl", "optimovej",
+    "optimovel",
+}  # fmt: skip
 FLOW = {"if", "elif", "else", "while", "for", "thread", "return", "break", "continue", "run", "join", "kill", "halt",
         "enter_critical", "exit_critical"}  # fmt: skip
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
@@ -57,8 +58,8 @@ def read_urscript(source: Source) -> Rows:
     """Return the configurations of a script's movej and servoj commands.
 
     Raises:
-        InputError: For other commands that move, control flow, calls of unknown functions, functions with moves that are
-            called more than once, and lists that are not plain numbers.
+        InputError: For other commands that move, control flow, calls of unknown functions, a function that is called
+            more than once, and lists that are not plain numbers.
     """
     source.check_unit("URScript", "rad")
     source.check_uncoupled("urscript")
@@ -111,10 +112,6 @@ def read_urscript(source: Source) -> Rows:
 def _executed(source: Source) -> list[_Line]:
     """Return the lines in the order in which they run: the only function that moves stands for its call."""
     every = _lines(source)
-    for each in every:
-        word = re.match(r"\w*", each.text)[0]
-        if word in FLOW:
-            source.fail(each.line, f"{word} controls the flow, which cannot be read")
     top = [each for each in every if not each.function]
     bodies: dict[str, list[_Line]] = {}
     for each in every:
@@ -137,7 +134,7 @@ def _executed(source: Source) -> list[_Line]:
         source.fail(bodies[uncalled[0]][0].line, f"the function {uncalled[0]} is not called")
     result = []
     for each in top:
-        name = re.match(r"\w*", each.text)[0]
+        name = _word(each.text)
         result += bodies[name] if name in bodies else [each]
     return result
 
@@ -151,11 +148,13 @@ def _lines(source: Source) -> list[_Line]:
         text = f"{text} {plain}".strip()
         if not text or sum(map(text.count, "([")) > sum(map(text.count, ")]")):
             continue
+        if (word := _word(text)) in FLOW:
+            source.fail(begin, f"{word} controls the flow, which cannot be read")
         if (defined := re.fullmatch(rf"def\s+({NAME})\s*\(\s*\)\s*:", text)) is not None:
             if function:
                 source.fail(begin, f"a function in the function {function} cannot be read")
             function = defined[1]
-        elif text.startswith(("def ", "thread ")):
+        elif text.startswith("def "):
             source.fail(begin, f"{text[:40]!r} cannot be read; valid: a function without arguments")
         elif text == "end":
             if not function:
@@ -196,6 +195,10 @@ def _move(source: Source, line: int, name: str, inside: str, known: dict) -> _Mo
     servo = name == "servoj"
     time_s = numbers["t"] or (SERVO_S if servo and "t" not in given else None)
     return _Move(line, q, time_s, numbers["r"], servo)
+
+
+def _word(text: str) -> str:
+    return re.split(r"\W", text, maxsplit=1)[0]
 
 
 def _arguments(text: str) -> list[str]:
