@@ -1,8 +1,8 @@
 """ABB's RAPID: MoveAbsJ with joint targets in lists or constants, its times and zones.
 
 MoveAbsJ moves all axes along straight joint paths. In a zone the controller leaves this path within a radius around the
-TCP, at most half the distance to the next position. Source: ABB, Technical reference manual, RAPID Instructions, Functions
-and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
+TCP, at most half the distance to the next position. Source: ABB, Technical reference manual, RAPID Instructions,
+Functions and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
 """
 
 import re
@@ -31,8 +31,8 @@ STILL = {
     "waittime", "waitdi", "waitdo", "waituntil", "waitsynctask", "tpwrite", "tperase", "tpshow", "errwrite", "actunit",
     "deactunit", "gripload", "clkreset", "clkstart", "clkstop", "stop", "incr", "decr", "add", "clear", "idelete",
     "ienable", "idisable", "isignaldi", "isignaldo", "connect", "pathacclim", "worldacclim", "motionsup", "open",
-    "close", "write", "socketsend", "socketcreate", "socketconnect", "socketclose", "waitrob", "return", "exit", "break",
-    "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uimsgbox",
+    "close", "write", "socketsend", "socketcreate", "socketconnect", "socketclose", "waitrob", "return", "exit",
+    "break", "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uimsgbox",
 }  # fmt: skip
 FROM_HERE = "The motion to the first configuration is not in the file."
 

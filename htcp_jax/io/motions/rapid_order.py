@@ -16,7 +16,7 @@ MOST = 1_000_000  # maximum number of statements
 
 
 def executed(source: Source, every: list[Statement]) -> list[Statement]:
-    """Return the statements of the routine in which the program begins, with those of called procedures in their places.
+    """Return the statements that run, in their order: those of a called procedure are in the place of the call.
 
     The program begins in `main`, or in the only procedure that moves and is not called.
 

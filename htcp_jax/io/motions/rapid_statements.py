@@ -7,8 +7,11 @@ from typing import NamedTuple
 from htcp_jax.io.motions.source import Source
 
 # Words that stand in front of a statement, or alone, without a semicolon.
-HEAD = re.compile(r"\s*(%%%[^%]*%%%|MODULE\s+\w+\s*(?:\([^)]*\))?|ENDMODULE|END(?:PROC|FUNC|TRAP)|ERROR\b(?:\s*\([^)]*\))?"
-                  r"|BACKWARD\b|UNDO\b|(?:LOCAL\s+)?(?:PROC|TRAP|FUNC\s+\w+)\s+\w+\s*(?:\([^)]*\))?)", re.IGNORECASE)  # fmt: skip
+HEAD = re.compile(
+    r"\s*(%%%[^%]*%%%|MODULE\s+\w+\s*(?:\([^)]*\))?|ENDMODULE|END(?:PROC|FUNC|TRAP)|ERROR\b(?:\s*\([^)]*\))?"
+    r"|BACKWARD\b|UNDO\b|(?:LOCAL\s+)?(?:PROC|TRAP|FUNC\s+\w+)\s+\w+\s*(?:\([^)]*\))?)",
+    re.IGNORECASE,
+)
 # Words of the control flow that end without a semicolon.
 BLOCK = re.compile(
     r"\s*(IF\b.*?\bTHEN\b|ELSEIF\b.*?\bTHEN\b|ELSE\b|ENDIF\b|FOR\b.*?\bDO\b|ENDFOR\b|WHILE\b.*?\bDO\b|ENDWHILE\b|TEST\b|CASE\b"

@@ -36,7 +36,8 @@ MOTION_FORMATS: Mapping[str, Callable[[Source], Rows]] = MappingProxyType(
 )
 ENDINGS = {
     ".csv": "csv", ".tsv": "csv", ".yaml": "ros", ".yml": "ros", ".json": "ros-json", ".npy": "npy", ".npz": "npz",
-    ".xml": "keyframes", ".mod": "rapid", ".modx": "rapid", ".prg": "rapid", ".script": "urscript", ".urscript": "urscript",
+    ".xml": "keyframes", ".mod": "rapid", ".modx": "rapid", ".prg": "rapid", ".script": "urscript",
+    ".urscript": "urscript",
 }  # fmt: skip
 BEGINNING = 100_000  # part of a text in which its format is looked for [bytes]
 CONTENTS = (  # formats by their text, in this order
@@ -71,8 +72,8 @@ def read_motion(
         interpolation: "linear", "cubic" or "quintic"; None: as the format's controller interpolates.
 
     Raises:
-        InputError: If the file cannot be read, for an unknown format, for joints that differ from the robot's, for values
-            or times that are invalid, and for anything in the file that moves in a way that cannot be read.
+        InputError: If the file cannot be read, for an unknown format, for joints that differ from the robot's, for
+            invalid values or times, and for anything in the file that moves in a way that cannot be read.
     """
     if unit is not None and unit not in ANGLES:
         raise InputError(f"{unit!r} is not a unit of angles; valid: {', '.join(ANGLES)}")

@@ -48,8 +48,8 @@ def read_ros_yaml(source: Source) -> Rows:
         return _rows(source, *fast, "line")
     if len(source.data) > MOST_YAML:
         raise InputError(
-            f"{source.file}: {len(source.data):,} bytes of YAML; at most {MOST_YAML:,}, or one list of numbers per line, "
-            "or JSON"
+            f"{source.file}: {len(source.data):,} bytes of YAML; at most {MOST_YAML:,}, or one list of numbers per "
+            "line, or JSON"
         )
     document, notes = _trajectory(source, parse_mapping(text, str(source.file)))
     return _rows(source, document, _points(source, document, notes), notes, "point")
@@ -179,8 +179,8 @@ def _rows(source: Source, document: Mapping[str, Any], points: list[_Point], not
     """Return the rows of points.
 
     Raises:
-        InputError: For missing names, points with a wrong number of values, values that are not numbers, and velocities,
-            accelerations or times in some points only.
+        InputError: For missing names, points with a wrong number of values, values that are not numbers, and
+            velocities, accelerations or times in some points only.
     """
     source.check_unit("a JointTrajectory", "rad")
     names = document.get("joint_names")
