@@ -178,7 +178,7 @@ def program(
         tolerance = {"path_tolerance_mm": 1e3 * made.job.settings.tube_m, "deviations": deviation_records(deviation)}
         _print_record(written, {"configurations": len(file.timed.x), **tolerance})
     else:
-        _print_written(f"{made.robot.name}: {format}", written, deviation_facts(made, file, deviation))
+        _print_written(f"{made.robot.name}: {format}", written, deviation_facts(made, format, file, deviation))
     if checked.get("refuted"):
         return REFUTED
     return OVERLOADED if overloaded and not allow_effort else 0

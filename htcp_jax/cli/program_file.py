@@ -18,7 +18,7 @@ from htcp_jax.trajectory import (
 JOINED = {  # how players join configurations, see `trajectory.deviation`
     "linear": "joined linearly",
     "quintic": "joined by quintic splines",
-    "straight": "on the proven straight joint paths",
+    "straight": "joined on the proven straight joint paths",
 }
 
 
@@ -58,14 +58,15 @@ def check_deviation(
         )
 
 
-def deviation_facts(made: PlanProgram, file: FileMotion, found: list[Deviation]) -> dict[str, str]:
+def deviation_facts(made: PlanProgram, format: str, file: FileMotion, found: list[Deviation]) -> dict[str, str]:
     """Return the number of configurations in a file and its deviations as rows of a table of facts."""
+    more = "; MOVL, which moves the TCP straight, is not measured" if format == "jbi" else ""
     facts = {"configurations": f"{len(file.timed.x):,} in the file"}
     for each in found:
         unit = "m" if made.robot.sliding[made.robot.joint_names.index(each.joint)] else "rad"
         tcp = f"{1e3 * each.tcp_m:.3g} mm of the TCP at {each.time_s:.2f} s, {1e3 * each.path_m:.3g} mm on the path"
         name = "deviation" if each is found[0] else f"deviation, {each.joined}"
-        facts[name] = f"{tcp}; {each.joint_deviation:.3g} {unit} of {each.joint}; {JOINED[each.joined]}"
+        facts[name] = f"{tcp}; {each.joint_deviation:.3g} {unit} of {each.joint}; {JOINED[each.joined]}{more}"
     return facts
 
 

@@ -56,9 +56,11 @@ def deviations(robot: Robot, program: Program, file: FileMotion) -> list[Deviati
         program: The program.
         file: The configurations in the file.
     """
-    time = _times_between(file.timed.time_s)
-    if not len(time):
+    if len(file.timed.time_s) < 2:
         return []
+    time = _times_between(file.timed.time_s)
+    if STRAIGHT in file.joined:  # corners are rounded most at the configurations
+        time = np.union1d(time, file.timed.time_s)
     motion = program.at(time)
     tcp, on_path = _tcp(robot, motion.x), np.isin(motion.kind, (Kind.PROCESS, Kind.DWELL))
     found = []
