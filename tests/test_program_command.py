@@ -402,6 +402,8 @@ WRONG = [
     (["--format", "jbi-pulses", "--step-ms", "2"], "jbi-pulses contains only the configurations of the motion; omit"),
     (["--format", "urscript", "--step-ms", "3"], "times must be multiples of the controller's 0.002 s"),
     (["--step-ms", "0"], "--step-ms is 0.0; valid: 0.1 to 1000"),
+    (["--max-points", "100", "--step-ms", "5"], "--max-points chooses the times of the configurations; omit --step-ms"),
+    (["--max-points", "2"], "the program begins, ends and stops at 4 configurations, so at least 4 are needed"),
     (["--scenario", "1"], "has no scenario 1; valid: 0 to 0"),
     (["--method", "hybrid"], "has no plans by 'hybrid'; valid: beam"),
 ]
@@ -440,6 +442,85 @@ def test_the_check_says_of_every_configuration_what_measuring_each_says(plans, h
         np.testing.assert_array_equal(found.touches, each <= 0)
         touched.append(int(found.touches.sum()))
     assert touched[0] == 0 < touched[2] < len(timed.x)
+
+
+def rows_of(file) -> int:
+    """Number of configurations in a ROS message."""
+    return file.read_text().count("- positions:")
+
+
+def test_the_deviation_of_a_file_is_stated_and_that_of_default_steps_is_small(plans, here, capsys):
+    """The deviation in the table and in JSON; files are those that the motion alone gives."""
+    assert run(plans, "--out", "weld.csv", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["configurations"] == len(table(here / "weld.csv")) and record["path_tolerance_mm"] == 1
+    assert set(record["deviations"]) == {"linear", "quintic"}
+    assert all(0 < each["path_mm"] <= each["tcp_mm"] < 0.01 for each in record["deviations"].values())
+    assert record["files"] == [{"file": "weld.csv", "first": 0, "configurations": record["configurations"]}]
+    assert run(plans, "--out", "weld.mod", "--format", "rapid") == 0
+    lines = capsys.readouterr().out.splitlines()
+    (deviation,) = [line for line in lines if line.startswith("deviation ")]
+    assert re.search(
+        r"mm of the TCP at [\d.]+ s, [\d.e-]+ mm on the path; [\d.e-]+ rad of joint\d; joined on the", deviation
+    )
+
+
+def test_a_file_too_far_from_the_path_is_refused_with_a_number_of_points_that_do(plans, here, capsys):
+    """A coarse file (regression: written without a word), and more points at the places of fewer_points."""
+    name = ["--format", "ros", "--out", "weld.yaml"]
+    assert run(plans, *name, "--step-ms", "1000") == 2
+    line = capsys.readouterr().err
+    found = re.search(
+        r"by (\S+) mm on the path at \S+ s; .* is 1 mm; pass --max-points (\d+) or more, or --allow", line
+    )
+    assert float(found[1]) > 1 and line.count("\n") == 1 and not list(here.iterdir())
+    assert run(plans, *name, "--step-ms", "1000", "--allow-deviation", "--json") == 0
+    output = capsys.readouterr()
+    assert "the file deviates from the program by" in output.err and output.err.count("\n") == 1
+    on_path = max(each["path_mm"] for each in json.loads(output.out)["deviations"].values())
+    assert on_path == pytest.approx(float(found[1]), rel=5e-3)
+    assert run(plans, *name, "--max-points", found[2], "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert rows_of(here / "weld.yaml") == record["configurations"] <= int(found[2])
+    assert max(each["path_mm"] for each in record["deviations"].values()) <= 1
+
+
+def test_a_deviation_off_the_path_is_a_warning_if_the_user_chose_the_number_of_points(plans, here, capsys):
+    assert run(plans, "--out", "weld.csv", "--max-points", "6", "--json") == 0
+    output = capsys.readouterr()
+    found = json.loads(output.out)["deviations"]["linear"]
+    assert found["path_mm"] < 1 < found["tcp_mm"] and "the file deviates from the program by" in output.err
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_format_has_at_most_the_number_of_points_and_the_same_file_if_it_has_no_more_anyway(plans, here, format):
+    words = ["--format", format, "--set", "program.user_frame={number: 3}", "--set", PULSES, "--allow-deviation"]
+    made = program_of(open_plans(plans / "good"), 0.02)
+    own = len(made.timed(format).x)
+    few = made.timed(format, max_points=10)
+    assert len(few.x) <= 10 < own and few.time_s[-1] == pytest.approx(made.program.duration_s, abs=0.002)
+    for name, most in (("any", None), ("all", own + 1), ("few", 10)):
+        (here / name).mkdir()
+        more = [] if most is None else ["--max-points", str(most)]
+        assert run(plans, *words, *more, "--out", f"{name}/weld.txt") == 0
+    any_, all_, fewer = ((here / name / "weld.txt").read_bytes() for name in ("any", "all", "few"))
+    assert any_ == all_ and len(fewer) < len(any_)
+
+
+def test_the_check_of_a_coarse_file_follows_the_file(plans, here, capsys):
+    """A file whose motion leaves the path (regression: the program's motion was checked instead)."""
+    words = ["--format", "ros", "--step-ms", "1000", "--allow-deviation", "--check", "--json", "--out", "weld.yaml"]
+    assert run(plans, *words) == 1
+    record = json.loads(capsys.readouterr().out)
+    assert record["check"]["refuted"] > 0 and record["check"]["off_max_mm"] > 1
+
+
+def test_a_script_longer_than_those_that_are_known_to_start_is_a_note(plans, here, capsys):
+    assert run(plans, "--format", "urscript", "--out", "weld.script") == 0
+    err = capsys.readouterr().err
+    assert "note: the file has" in err and "1,000 (reported of a UR10)" in err and err.count("\n") == 1
+    assert run(plans, "--format", "urscript", "--max-points", "50", "--out", "weld.script") == 0
+    assert "note" not in capsys.readouterr().err
 
 
 WEAK = """<mujoco model="arm"><compiler angle="radian"/><worldbody>

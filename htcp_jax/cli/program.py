@@ -13,6 +13,14 @@ from rich.text import Text
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import RunMethod
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
+from htcp_jax.cli.program_file import (
+    check_deviation,
+    deviation_facts,
+    deviation_records,
+    note_limits,
+    part_facts,
+    write_files,
+)
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import JointLimits, read_joint_limits
@@ -21,21 +29,24 @@ from htcp_jax.report import Table
 from htcp_jax.runs import columns, open_plans, open_run, plan_folder, timing_file
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import feed as feed_rates
-from htcp_jax.system import output_files
 from htcp_jax.trajectory import (
     FORMATS,
+    FileMotion,
     PeakTorque,
     PlanProgram,
     ProgramFigures,
     Share,
     check_ranges,
+    deviations,
     format_of,
+    joined_configurations,
     limits_of_job,
     limits_overrides,
     program_figures,
     program_of,
     requested_feed,
     with_program,
+    worst_deviation,
 )
 from htcp_jax.validation import check_timed
 
@@ -65,6 +76,16 @@ Limits = Annotated[
         "A motion outside its ranges is refused.",
     ),
 ]
+MaxPoints = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", min=2, help="Maximum number of configurations in the file; they are placed where needed."
+    ),
+]
+AllowDeviation = Annotated[
+    bool,
+    typer.Option("--allow-deviation", help="Write a file that deviates from the path by more than its tolerance."),
+]
 Step = Annotated[
     float | None,
     typer.Option(metavar="MS", help="Time between configurations [ms]; the default depends on the format."),
@@ -83,6 +104,8 @@ def program(
     check: Check = False,
     allow_effort: AllowEffort = False,
     step_ms: Step = None,
+    max_points: MaxPoints = None,
+    allow_deviation: AllowDeviation = False,
     limits: Limits = None,
     overrides: ProgramKeys = None,
     as_json: Json = False,
@@ -93,6 +116,10 @@ def program(
     at the required feed rate; elsewhere the arm moves as fast as the joint limits allow. The table lists where a limit
     reduces the feed, the feed there, and the limiting joint. Limits and controller data are in the job's section
     program; --limits takes precedence over it, and --set over both.
+
+    Between the configurations of a file the controller moves by itself. The table states how far it then is from the
+    program's motion: the configurations joined linearly and, if the file has accelerations, by quintic splines. More
+    than the path's tolerance is refused, unless --allow-deviation is passed.
 
     With --all, every scenario of a sweep is timed instead: cycle time, feed and limits become columns of the run, for
     htcp report and htcp gate. Scenarios that are timed already with the same feed and limits are skipped.
@@ -105,14 +132,17 @@ def program(
       htcp plan
       htcp program out/plan --feed 20mm/s --out weld.csv
       htcp program out/plan --feed 20mm/s --format ros --out weld.yaml
+      htcp program out/plan --feed 20mm/s --format ros --max-points 200 --out weld.yaml
       htcp sweep sweeps/workpiece --methods beam
       htcp program out/workpiece --scenario 17 --feed 1.2m/min --out pose.csv --set program.full_speed_s=0.4
       htcp program out/workpiece --all --feed 20mm/s
     """
     if all_:
         of_one = {"--out": out, "--format": format, "--scenario": scenario, "--step-ms": step_ms}
+        of_one |= {"--max-points": max_points}
         given = [name for name, value in of_one.items() if value is not None]
         flags = {"--one-way": one_way, "--check": check, "--allow-effort": allow_effort}
+        flags |= {"--allow-deviation": allow_deviation}
         if given := given + [name for name, is_set in flags.items() if is_set]:
             raise InputError(f"{given[0]} applies to one program, and --all times every scenario; omit one of them")
         return _time_all(run, feed, method, limits, overrides or (), as_json)
@@ -120,6 +150,8 @@ def program(
         raise InputError("--out is missing: pass --out FILE, or --all to time every scenario of a sweep")
     format, scenario = format or "csv", scenario or 0
     format_of(format)
+    if step_ms is not None and max_points is not None:
+        raise InputError("--max-points chooses the times of the configurations; omit --step-ms")
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
     plans, step_s = open_plans(run), _step_seconds(step_ms)
@@ -130,19 +162,23 @@ def program(
     if in_file.stated is not None:
         check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
     _print_note(in_file)
-    torque = made.peak_torque
-    text, found = made.text(format, out.stem, step_s), program_figures(made.program, made.limits)
-    with output_files.made_folder(out.parent):
-        output_files.write_text(out, text)
-    checked = _check_motion(run, made, scenario) if check else {}
+    file, is_chosen = made.in_file(format, step_s, max_points), step_ms is not None or max_points is not None
+    deviation = deviations(made.robot, made.program, file)
+    files = made.files(format, out.stem, file)
+    check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
+    torque, found = made.peak_torque, program_figures(made.program, made.limits)
+    paths = write_files(out, files)
+    note_limits(format, len(file.timed.x))
+    checked = _check_motion(run, made, scenario, file if is_chosen else None) if check else {}
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    written = _Written(found, manipulability, torque, checked, out)
+    written = _Written(found, manipulability, torque, checked, paths)
     if as_json:
-        _print_record(written)
+        tolerance = {"path_tolerance_mm": 1e3 * made.job.settings.tube_m, "deviations": deviation_records(deviation)}
+        _print_record(written, {"configurations": len(file.timed.x), **tolerance})
     else:
-        _print_written(f"{made.robot.name}: {format}", written)
+        _print_written(f"{made.robot.name}: {format}", written, deviation_facts(made, format, file, deviation))
     if checked.get("refuted"):
         return REFUTED
     return OVERLOADED if overloaded and not allow_effort else 0
@@ -155,23 +191,25 @@ class _Written(NamedTuple):
     manipulability: Float[np.ndarray, "T"]  # at all targets; empty if the feed never drops
     torque: PeakTorque | None
     checked: dict[str, int | float]  # result of --check; empty without it
-    out: Path  # the file
+    paths: dict[Path, range]  # the files, the main one first, with the rows of their configurations
 
 
-def _print_record(written: _Written) -> None:
-    """Print the figures of a program, its largest torque, the result of --check and the file as JSON."""
-    found, manipulability, torque, checked, out = written
+def _print_record(written: _Written, deviation: dict) -> None:
+    """Print a program's figures, its largest torque, its file's deviation, the result of --check and files as JSON."""
+    found, manipulability, torque, checked, paths = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
     record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
-    print_json({**record, "check": checked or None, "file": str(out)})
+    parts = [{"file": str(path), "first": rows.start, "configurations": len(rows)} for path, rows in paths.items()]
+    print_json({**record, **deviation, "check": checked or None, "file": str(next(iter(paths))), "files": parts})
 
 
-def _print_written(title: str, written: _Written) -> None:
+def _print_written(title: str, written: _Written, deviation: dict[str, str]) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
-    found, manipulability, torque, checked, out = written
+    found, manipulability, torque, checked, paths = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
-    print_facts(title, {**_program_facts(found), "torque": _torque(torque), **by_mujoco, "file": str(out)})
+    files = {"file": str(next(iter(paths))), **part_facts(paths)}
+    print_facts(title, {**_program_facts(found), "torque": _torque(torque), **deviation, **by_mujoco, **files})
     if not found.drops:
         return
     stdout().print()
@@ -226,8 +264,12 @@ def _time_all(
     return 0
 
 
-def _check_motion(run: Path, made: PlanProgram, scenario: int) -> dict[str, int | float]:
+def _check_motion(run: Path, made: PlanProgram, scenario: int, file: FileMotion | None) -> dict[str, int | float]:
+    """Check the program's motion by MuJoCo, or, if `file` is not None, the motion of the file as a player joins it."""
     timed = made.program.timed(made.program.long_step_s(1e-3))
+    if file is not None:
+        joined = worst_deviation(deviations(made.robot, made.program, file)).joined
+        timed = timed._replace(x=joined_configurations(made.program, file.timed, joined, timed.time_s))
     with progress_bar("configurations") as progress:
         found = check_timed(run, timed, made.method, scenario, progress=progress)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}

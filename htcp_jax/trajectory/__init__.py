@@ -6,6 +6,9 @@ the feed rate and the joint limits. `check_limits` raises InputError for a job w
 `TimedMotion` is a motion sampled in time, and `tcp_at` computes the TCP along it. `PeakTorque` is the largest joint
 torque.
 
+A file contains the configurations of a `FileMotion`. `deviations` compares it, as a player joins its configurations,
+with the program's motion. `exceeded_limits` lists known limits of controllers that a file exceeds.
+
 `figures` computes a program's times, speeds, and used shares of the limits. `FORMATS` lists the file formats for
 controllers, and `format_of` returns a format by its name.
 """

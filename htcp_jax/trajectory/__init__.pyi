@@ -1,5 +1,9 @@
+from .deviation import Deviation, FileMotion, deviations, joined_configurations, worst_deviation
 from .displacement import tcp_at
 from .figures import ProgramFigures, Share, program_figures
+from .file_motion import points_needed
+from .formats.controller_limits import exceeded_limits
+from .formats.parts import ProgramFile
 from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
 from .limits_file import check_ranges, limits_of_job, limits_overrides
@@ -10,17 +14,24 @@ from .timed_motion import TimedMotion
 
 __all__ = [
     "FORMATS",
+    "Deviation",
+    "FileMotion",
     "PeakTorque",
     "PlanProgram",
     "Program",
     "ProgramFigures",
+    "ProgramFile",
     "Share",
     "TimedMotion",
     "check_limits",
     "check_ranges",
+    "deviations",
+    "exceeded_limits",
     "format_of",
+    "joined_configurations",
     "limits_of_job",
     "limits_overrides",
+    "points_needed",
     "program_figures",
     "program_of",
     "program_of_plans",
@@ -28,4 +39,5 @@ __all__ = [
     "tcp_at",
     "time_run",
     "with_program",
+    "worst_deviation",
 ]

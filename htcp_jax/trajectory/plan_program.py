@@ -25,7 +25,10 @@ from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
-from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_text
+from htcp_jax.trajectory.deviation import FileMotion
+from htcp_jax.trajectory.file_motion import file_motion
+from htcp_jax.trajectory.formats.parts import ProgramFile
+from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
 from htcp_jax.trajectory.limits_file import limits_of_job
@@ -56,34 +59,50 @@ class PlanProgram(NamedTuple):
         task = build.task_of_job(self.job, self.robot)
         return manipulability.manipulability(self.robot, task, self.x, self.goals)
 
-    def text(self, format: str, name: str, step_s: float | None = None) -> str:
+    def text(self, format: str, name: str, step_s: float | None = None, max_points: int | None = None) -> str:
         """Return the text of the program's file.
 
         Args:
             format: Name of the format in `writers.FORMATS`.
             name: Name of the program.
             step_s: Time between samples; None: the format's default, see `writers.ProgramFormat`.
+            max_points: Maximum number of configurations; None: those of the time step.
 
         Raises:
-            InputError: If the format does not support the time step, or if `program_text` or `controller` raises it.
+            InputError: If `in_file`, `program_text` or `controller` raises it.
         """
-        timed = self.timed(format, step_s)
+        timed = self.timed(format, step_s, max_points)
         return program_text(format, timed, self.controller(format, name, timed))
 
-    def timed(self, format: str, step_s: float | None = None) -> TimedMotion:
+    def files(self, format: str, name: str, file: FileMotion) -> list[ProgramFile]:
+        """Return the program's files: one, or a main file and its parts, see `writers.program_files`.
+
+        Args:
+            format: Name of the format in `writers.FORMATS`.
+            name: Name of the program.
+            file: The configurations, see `in_file`.
+
+        Raises:
+            InputError: If `program_files` or `controller` raises it.
+        """
+        timed = self._with_axes(format, file.timed)
+        return program_files(format, timed, self.controller(format, name, timed))
+
+    def timed(self, format: str, step_s: float | None = None, max_points: int | None = None) -> TimedMotion:
         """Return the samples of the motion that a format contains, see `text`.
 
         Raises:
-            InputError: If the format does not support the time step.
+            InputError: If `in_file` raises it.
         """
-        own = format_of(format).step_s
-        if own is None and step_s is not None:
-            raise InputError(f"{format} contains only the configurations of the motion; omit the time step")
-        if own is None:
-            return self._with_axes(format, self.program.at_configurations())
-        if format == "urscript":
-            own = self.job.program.control_step_s
-        return self._with_axes(format, self.program.timed(own if step_s is None else step_s))
+        return self._with_axes(format, self.in_file(format, step_s, max_points).timed)
+
+    def in_file(self, format: str, step_s: float | None = None, max_points: int | None = None) -> FileMotion:
+        """Return the configurations that a format contains, without joints that follow others, see `file_motion`.
+
+        Raises:
+            InputError: If `file_motion` raises it.
+        """
+        return file_motion(self.robot, self.program, self.job, format, step_s, max_points)
 
     def _axes(self, format: str) -> str:
         """Return the joints that a format contains: `commanded`, or `all`.

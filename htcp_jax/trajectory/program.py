@@ -8,6 +8,7 @@ made.drops()         # feed drops along the weld, with the limiting joint
 ```
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -106,17 +107,33 @@ class Program(NamedTuple):
 
     def at(self, time: Float[np.ndarray, "n"]) -> TimedMotion:
         """Return samples of the motion at times that increase from 0 [s]; from `duration_s` on the arm is at rest."""
-        ends = self.ends_s
-        bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
         parts = []
-        for k, (blend, scaling) in enumerate(zip(self.blends, self.scalings, strict=True)):
-            own = time[bounds[k] : bounds[k + 1]] - (ends[k] - scaling.speed.duration_s)
+        for blend, scaling, own in self._by_section(time):
             place, found = scaling.at(own)
             row = blend.row[blend.curve.leg(scaling.path.u(place))]
             parts.append((found.x, found.first, found.second, row))
         x, velocity, acceleration, row = map(np.concatenate, zip(*parts, strict=True))
         kind, target = self.motion.kind[row], self.motion.target[row]
         return TimedMotion(time, x, velocity, acceleration, kind, target, self.joint_names, self._span(row))
+
+    def straight_at(self, time: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n N"]:
+        """Return the configurations on the motion's straight joint paths at times that increase from 0 [s].
+
+        They differ from those of `at` only where the program blends a corner, and have the same curve parameter.
+        """
+        parts = []
+        for blend, scaling, own in self._by_section(time):
+            u, curve = scaling.path.u(scaling.speed.at(own)[0]), blend.curve
+            leg = curve.leg(u)
+            parts.append(curve.x[leg] + (u - curve.u[leg])[:, None] * curve.slopes[leg])
+        return np.concatenate(parts)
+
+    def _by_section(self, time: Float[np.ndarray, "n"]) -> Iterator[tuple[Blend, TimeScaling, np.ndarray]]:
+        """Yield each section with its time scaling, and the times in it, counted from its begin [s]."""
+        ends = self.ends_s
+        bounds = [0, *np.searchsorted(time, ends[:-1]).tolist(), len(time)]
+        for k, (blend, scaling) in enumerate(zip(self.blends, self.scalings, strict=True)):
+            yield blend, scaling, time[bounds[k] : bounds[k + 1]] - (ends[k] - scaling.speed.duration_s)
 
     def _span(self, row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 2"] | None:
         return None if self.motion.span is None else self.motion.span[row]

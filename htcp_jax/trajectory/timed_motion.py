@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Int8
 
+LINEAR, QUINTIC, STRAIGHT = "linear", "quintic", "straight"  # how players join configurations, see `deviation`
+
 
 class TimedMotion(NamedTuple):
     """Samples of a motion: configurations, velocities and accelerations with their times."""

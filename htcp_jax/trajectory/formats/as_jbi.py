@@ -13,7 +13,8 @@ follows Basler's and Balluff's pages on Yaskawa's pose format.
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,13 +22,16 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, JointGroups, UserFrame, header
+from htcp_jax.trajectory.formats.controller_limits import INFORM_LINES
 from htcp_jax.trajectory.formats.names import check_name
+from htcp_jax.trajectory.formats.parts import ProgramFile, split
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z0-9_-]{1,32}")
 WIDTH = 32  # maximum number of characters of a comment
 POSITIONS = "C", "BC", "EC"  # position variables of the robot, of the axes that carry it, and of the positioner
-MOST_LINES = 9999  # maximum number of lines of a job
+MOST_LINES = INFORM_LINES.most  # of a job, NOP and END included
+PART_REMARKS = 8  # lines for the remark at the beginning of a part
 RECTAN_JOINTS, MOST_JOINTS = 6, 8
 USER_FRAMES = range(1, 64)
 UNUSED = (0,) * 18  # unused numbers of RCONF's 24
@@ -38,6 +42,18 @@ MORE = (
 )
 
 
+class _Content(NamedTuple):
+    """Content of a job, for any of its rows."""
+
+    format: str
+    names: list[str]  # lines before the positions
+    attributes: list[str]
+    about: list[str]
+    used: tuple[int, ...]  # 1 for each group of POSITIONS that the job moves, else 0
+    positions: Callable[[slice], list[str]]
+    moves: Callable[[slice], Iterable[str]]
+
+
 def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return a relative job with RECTAN positions in the user frame.
 
@@ -45,6 +61,33 @@ def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
         InputError: If the user frame or the joint speeds are missing, for an invalid frame number, for velocities above
             the joint speeds, for an arm without exactly six joints, for too many lines, and for an invalid job name.
     """
+    return _one_job(_rectan_content(timed, controller), len(timed.x), controller)
+
+
+def jbi_files(timed: TimedMotion, controller: ControllerData) -> list[ProgramFile]:
+    """Return what `jbi_text` returns, or several jobs if one would have too many lines, as `jbi_pulses_files`."""
+    return _jobs(_rectan_content(timed, controller), len(timed.x), controller)
+
+
+def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
+    """Return a job with joint pulses, converted by the controller's encoder scale.
+
+    Raises:
+        InputError: If the encoder scale or the joint speeds are missing, for velocities above the joint speeds, for too
+            many joints or lines, and for an invalid job name.
+    """
+    return _one_job(_pulse_content(timed, controller), len(timed.x), controller)
+
+
+def jbi_pulses_files(timed: TimedMotion, controller: ControllerData) -> list[ProgramFile]:
+    """Return what `jbi_pulses_text` returns, or several jobs if one would have too many lines.
+
+    The main job then calls the others in order, by `CALL JOB:NAME-1` and so on.
+    """
+    return _jobs(_pulse_content(timed, controller), len(timed.x), controller)
+
+
+def _rectan_content(timed: TimedMotion, controller: ControllerData) -> _Content:
     if (frame := controller.user_frame) is None:
         raise InputError(
             "jbi: the user frame of RECTAN positions is missing; set program.user_frame: {number: 1 to 63}"
@@ -58,20 +101,21 @@ def jbi_text(timed: TimedMotion, controller: ControllerData) -> str:
         raise InputError(f"jbi: user frame {frame.number}; valid: {USER_FRAMES[0]} to {USER_FRAMES[-1]}")
     names = [f"///USER {frame.number}", f"///TOOL {controller.tool}", "///POSTYPE USER", "///RECTAN"]
     attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
-    moves = _move_lines(timed, _percents(timed, controller, "jbi").max(axis=1), _feed_mm_s(timed, frame))
+    percent, feed = _percents(timed, controller, "jbi").max(axis=1), _feed_mm_s(timed, frame)
     about = header(
         timed, *MORE, f"Tool {controller.tool} and user frame {frame.number} must be set as they were planned."
     )
-    return _job("jbi", controller, [*names, *_position_lines(frame)], attributes, [*_remarks(about), *moves])
+
+    def positions(rows: slice) -> list[str]:
+        return [*_position_lines(frame._replace(T_frame_tcp=frame.T_frame_tcp[rows], flags=frame.flags[rows]))]
+
+    def moves(rows: slice) -> Iterable[str]:
+        return _move_lines(percent[rows], feed[rows], rows.stop == len(percent))
+
+    return _Content("jbi", names, attributes, about, (1, 0, 0), positions, moves)
 
 
-def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
-    """Return a job with joint pulses, converted by the controller's encoder scale.
-
-    Raises:
-        InputError: If the encoder scale or the joint speeds are missing, for velocities above the joint speeds, for too
-            many joints or lines, and for an invalid job name.
-    """
+def _pulse_content(timed: TimedMotion, controller: ControllerData) -> _Content:
     if (pulses := controller.pulses) is None:
         raise InputError("jbi-pulses: the encoder scale is missing; set program.pulses: {per_rad: [...], source: ...}")
     groups = controller.joint_groups
@@ -82,32 +126,62 @@ def jbi_pulses_text(timed: TimedMotion, controller: ControllerData) -> str:
             f"jbi-pulses: program.pulses.per_rad has {np.size(pulses.per_unit)} values for {timed.x.shape[1]} joints"
         )
     counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int)
-    positions = [
-        f"{kind}{k:05d}={','.join(map(str, row))}"
-        for kind, columns in zip(POSITIONS, groups, strict=True)
-        if columns
-        for k, row in enumerate(counts[:, list(columns)].tolist())
-    ]
     about = header(timed, *MORE, CHECK_AXES, f"Tool {controller.tool}. Pulses by {pulses.source}.")
-    moves = _pulse_move_lines(_percents(timed, controller, "jbi-pulses"), groups)
+    percents = _percents(timed, controller, "jbi-pulses")
     names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
-    return _job("jbi-pulses", controller, [*names, *positions], ["///ATTR SC,RW"], [*_remarks(about), *moves])
+
+    def positions(rows: slice) -> list[str]:
+        return [
+            f"{kind}{k:05d}={','.join(map(str, row))}"
+            for kind, columns in zip(POSITIONS, groups, strict=True)
+            if columns
+            for k, row in enumerate(counts[rows, list(columns)].tolist())
+        ]
+
+    def moves(rows: slice) -> Iterable[str]:
+        return _pulse_move_lines(percents[rows], groups, rows.stop == len(percents))
+
+    used = tuple(int(len(columns) > 0) for columns in groups)
+    return _Content("jbi-pulses", names, ["///ATTR SC,RW"], about, used, positions, moves)
+
+
+def _one_job(content: _Content, count: int, controller: ControllerData) -> str:
+    rows = slice(0, count)
+    instructions = [*_remarks(content.about), *content.moves(rows)]
+    if (lines := len(instructions) + 2) > MOST_LINES:
+        raise InputError(
+            f"{content.format}: {lines:,} lines, but a job has at most {MOST_LINES:,}; use a path with fewer points"
+        )
+    counts = [count * used for used in content.used]
+    return _job(content, controller, [*content.names, *content.positions(rows)], counts, instructions)
+
+
+def _jobs(content: _Content, count: int, controller: ControllerData) -> list[ProgramFile]:
+    remarks = [*_remarks(content.about)]
+    if len(remarks) + count + 2 <= MOST_LINES:
+        return [ProgramFile("", _one_job(content, count, controller), range(count))]
+    parts = split(count, MOST_LINES - 2 - PART_REMARKS)
+    found, main = [], content._replace(attributes=["///ATTR SC,RW"])
+    calls = [f"CALL JOB:{controller.name}-{k}" for k in range(1, len(parts) + 1)]
+    text = _job(main, controller, [], [0, 0, 0], [*remarks, *calls])
+    for k, part in enumerate(parts, start=1):
+        own, rows = controller._replace(name=f"{controller.name}-{k}"), slice(part.start, part.stop)
+        said = [*_remarks([f"Part {k} of {len(parts)} of {controller.name}."])]
+        counts = [len(part) * used for used in content.used]
+        lines = [*content.names, *content.positions(rows)]
+        found.append(ProgramFile(f"-{k}", _job(content, own, lines, counts, [*said, *content.moves(rows)]), part))
+    return [ProgramFile("", text, range(0)), *found]
 
 
 def _job(
-    format: str, controller: ControllerData, positions: list[str], attributes: list[str], instructions: list[str]
+    content: _Content, controller: ControllerData, positions: list[str], counts: list[int], instructions: list[str]
 ) -> str:
-    check_name(f"{format}: job name", controller.name, NAME, "up to 32 of A to Z, 0 to 9, - and _")
-    if (lines := len(instructions) + 2) > MOST_LINES:
-        raise InputError(
-            f"{format}: {lines:,} lines, but a job has at most {MOST_LINES:,}; use a path with fewer points"
-        )
-    counts = [sum(re.match(rf"{kind}\d", line) is not None for line in positions) for kind in POSITIONS]
+    check_name(f"{content.format}: job name", controller.name, NAME, "up to 32 of A to Z, 0 to 9, - and _")
     head = ["/JOB", f"//NAME {controller.name}", "//POS", f"///NPOS {','.join(map(str, counts))},0,0,0", *positions]
     date = [] if controller.date is None else [f"///DATE {controller.date:%Y/%m/%d %H:%M}"]
-    _, base, station = counts
+    _, base, station = content.used
     groups = ["///GROUP1 RB1,BS1" if base else "///GROUP1 RB1", *(["///GROUP2 ST1"] if station else [])]
-    return "\r\n".join([*head, "//INST", *date, *attributes, *groups, "NOP", *instructions, "END"]) + "\r\n"
+    return "\r\n".join([*head, "//INST", *date, *content.attributes, *groups, "NOP", *instructions, "END"]) + "\r\n"
 
 
 def _remarks(about: list[str]) -> Iterator[str]:
@@ -145,21 +219,19 @@ def _fixed_xyz_rad(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     return np.stack([about_x, np.arctan2(-R[:, 2, 0], flat), about_z], axis=1)
 
 
-def _move_lines(
-    timed: TimedMotion, percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.ndarray, "n"]
-) -> Iterator[str]:
+def _move_lines(percent: Float[np.ndarray, "n"], feed_mm_s: Float[np.ndarray, "n"], is_last: bool) -> Iterator[str]:
     for k, (joint, feed) in enumerate(zip(percent.tolist(), feed_mm_s.tolist(), strict=True)):
-        end = " PL=0" if k == len(timed.x) - 1 else ""
+        end = " PL=0" if is_last and k == len(percent) - 1 else ""
         yield f"MOVL C{k:05d} V={feed:.1f}{end}" if feed >= LEAST_MM_S else f"MOVJ C{k:05d} VJ={joint:.2f}{end}"
 
 
-def _pulse_move_lines(percents: Float[np.ndarray, "n N"], groups: JointGroups) -> Iterator[str]:
+def _pulse_move_lines(percents: Float[np.ndarray, "n N"], groups: JointGroups, is_last: bool) -> Iterator[str]:
     of_robot = percents[:, [*groups.robot, *groups.base]].max(axis=1)
     of_station = percents[:, list(groups.station)].max(axis=1, initial=LEAST_PERCENT)
     for k, (robot, station) in enumerate(zip(of_robot.tolist(), of_station.tolist(), strict=True)):
         base = f" BC{k:05d}" if groups.base else ""
         with_station = f" +MOVJ EC{k:05d} VJ={station:.2f}" if groups.station else ""
-        end = " PL=0" if k == len(percents) - 1 else ""
+        end = " PL=0" if is_last and k == len(percents) - 1 else ""
         yield f"MOVJ C{k:05d}{base} VJ={robot:.2f}{end}{with_station}"
 
 

@@ -13,12 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.controller_limits import RAPID_LINES
 from htcp_jax.trajectory.formats.names import RAPID_WORDS, check_name
+from htcp_jax.trajectory.formats.parts import ProgramFile, split
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,25}")  # name of the procedure; identifiers have up to 32 characters
 TOOL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 USED = frozenset(("moveabsj", "noeoffs", "v50", "v1000", "z0", "fine"))  # names in a program, in lower case
+RULE = "up to {} letters, digits and _, a letter first"
+FRAME_LINES = 4  # lines of a module other than comments and moves
 FLANGE_TOOL = "tool0"  # predefined; its TCP is at the flange
 ROBOT_AXES, EXTERNAL_AXES = 6, 6
 LEAST_S = 1e-6  # last digit of a time; a time of 0 is not valid
@@ -36,6 +40,28 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
         InputError: For a robot without exactly six revolute joints, for more than six external axes, and for an invalid
             name of the program or the tool.
     """
+    return _module(controller.name, *_comments_and_moves(timed, controller))
+
+
+def rapid_files(timed: TimedMotion, controller: ControllerData) -> list[ProgramFile]:
+    """Return what `rapid_text` returns, or several modules if one would have too many lines, see `controller_limits`.
+
+    The main module's procedure then calls those of the other modules in order.
+    """
+    name, count, (about, moves) = controller.name, len(timed.x), _comments_and_moves(timed, controller)
+    if count + len(about) + FRAME_LINES <= RAPID_LINES.most:
+        return [ProgramFile("", _module(name, about, moves), range(count))]
+    parts = split(count, RAPID_LINES.most - FRAME_LINES - 1)
+    names = [f"{name}_{k}" for k in range(1, len(parts) + 1)]
+    check_name("rapid: procedure name", names[-1], NAME, RULE.format(26))
+    found = [ProgramFile("", _module(name, about, [f"{each};" for each in names]), range(0))]
+    for k, (part, own) in enumerate(zip(parts, names, strict=True), start=1):
+        text = _module(own, [f"Part {k} of {len(parts)} of {name}."], moves[part.start : part.stop])
+        found.append(ProgramFile(f"_{k}", text, part))
+    return found
+
+
+def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple[list[str], list[str]]:
     groups = controller.joint_groups
     if len(groups.robot) != ROBOT_AXES:
         raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint needs {ROBOT_AXES}")
@@ -46,19 +72,23 @@ def rapid_text(timed: TimedMotion, controller: ControllerData) -> str:
     if len(groups.external) > EXTERNAL_AXES:
         raise InputError(f"rapid: {len(groups.external)} external axes; extjoint supports at most {EXTERNAL_AXES}")
     name, tool = controller.name, controller.tool_name or f"tool{controller.tool}"
-    rule, reserved = "up to {} letters, digits and _, a letter first", RAPID_WORDS | USED
-    check_name("rapid: procedure name", name, NAME, rule.format(26), reserved | {tool.lower()})
-    check_name("rapid: program.tool_name", tool, TOOL_NAME, rule.format(32), reserved)
+    reserved = RAPID_WORDS | USED
+    check_name("rapid: procedure name", name, NAME, RULE.format(26), reserved | {tool.lower()})
+    check_name("rapid: program.tool_name", tool, TOOL_NAME, RULE.format(32), reserved)
     x = _controller_values(timed.x, controller)
     places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in x]
     sums = [f"{timed.joint_names[k]} is written as its sum with {timed.joint_names[j]}." for k, j in controller.coupled]
     about = header(timed, *MORE, CHECK_AXES, *sums, f"Degrees and mm. {_tool_line(tool, controller)}")
-    lines = [*(f"  ! {line}" for line in about), f"  PROC {controller.name}()"]
-    lines.append(f"    MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};")
+    moves = [f"MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};"]
     for k, (place, seconds) in enumerate(zip(places[1:], np.diff(timed.time_s).tolist(), strict=True), start=1):
         zone = "fine" if k == len(timed.x) - 1 else "z0"
-        lines.append(f"    MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
-    return "\n".join([f"MODULE {controller.name}Module", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
+        moves.append(f"MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
+    return about, moves
+
+
+def _module(name: str, about: list[str], statements: list[str]) -> str:
+    lines = [*(f"  ! {line}" for line in about), f"  PROC {name}()", *(f"    {each}" for each in statements)]
+    return "\n".join([f"MODULE {name}Module", *lines, "  ENDPROC", "ENDMODULE"]) + "\n"
 
 
 def _controller_values(x: Float[np.ndarray, "n N"], controller: ControllerData) -> Float[np.ndarray, "n N"]:
