@@ -37,7 +37,22 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
             not contain numbers.
         OSError: See `opened`.
     """
-    data, found = read_inside(file, folder), {}
+    return read_archive(read_inside(file, folder), file, leave)
+
+
+def read_archive(data: bytes, file: Path, leave: Collection[str] = (), texts: bool = False) -> dict[str, np.ndarray]:
+    """Return the arrays in the bytes of an .npz file, by name; pickles are refused.
+
+    Args:
+        data: Content of the file.
+        file: Name of the file, for messages.
+        leave: Names of arrays to skip.
+        texts: True to read also arrays of texts.
+
+    Raises:
+        InputError: If the file is damaged, too large when decompressed, or has an array that does not contain numbers.
+    """
+    found: dict[str, np.ndarray] = {}
     if data.count(b"PK\x01\x02") > MOST_ARRAYS:
         raise InputError(f"{file}: more than {MOST_ARRAYS} arrays")
     try:
@@ -50,7 +65,7 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise InputError(f"{file}: {name} has an unsupported compression; valid: stored, deflated")
                 with archive.open(entry) as stream:
-                    found[name] = read_array(stream.read(entry.file_size), f"{file}: {name}")
+                    found[name] = read_array(stream.read(entry.file_size), f"{file}: {name}", texts)
     except InputError:
         raise
     except Exception as error:  # a third-party parser may raise any exception on untrusted bytes
@@ -58,12 +73,13 @@ def read_arrays(file: Path, folder: Path, leave: Collection[str] = ()) -> dict[s
     return found
 
 
-def read_array(data: bytes, source: str) -> np.ndarray:
+def read_array(data: bytes, source: str, texts: bool = False) -> np.ndarray:
     """Return the array in the bytes of an .npy file.
 
     Args:
         data: Content of the file.
         source: Name of the file, for messages.
+        texts: True to read also an array of texts.
 
     Raises:
         InputError: If the data are damaged, or if the array does not contain numbers.
@@ -76,7 +92,7 @@ def read_array(data: bytes, source: str) -> np.ndarray:
             shape, by_column, dtype = NPY_HEADERS[np.lib.format.read_magic(stream)](stream)
     except Exception as error:  # as above
         raise InputError(f"{source}: not a .npy array ({one_line(error)})") from None
-    if dtype.kind not in "fiub":
+    if dtype.kind not in ("fiubU" if texts else "fiub"):
         raise InputError(f"{source}: an array of {dtype.name}; it must be an array of numbers")
     if min(shape, default=0) < 0 or len(data) - stream.tell() != math.prod(shape) * dtype.itemsize:
         raise InputError(f"{source}: damaged: its length does not match the shape {shape} in its header")

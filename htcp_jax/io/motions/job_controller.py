@@ -1,0 +1,87 @@
+"""What a job says about its controller, as far as files with joint values need it."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.robots import joints_in_file
+from htcp_jax.model import Robot
+from htcp_jax.spec import PlanConfig
+
+
+class EncoderScale(NamedTuple):
+    """Encoder scale of a controller."""
+
+    per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]
+    zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
+
+
+class ControllerGroups(NamedTuple):
+    """Indices of the robot's joints in each group of the controller, in the controller's order."""
+
+    robot: tuple[int, ...]
+    base: tuple[int, ...] = ()
+    station: tuple[int, ...] = ()
+
+
+class JobController(NamedTuple):
+    """Controller data of a job that a file's joint values need."""
+
+    coupled: tuple[tuple[int, int], ...] = ()  # indices of a coupled axis and of the joint that is added to it
+    pulses: EncoderScale | None = None
+    groups: ControllerGroups | None = None  # None: all joints are the robot's
+    # index of each joint of the model file, over the robot's joints, its followers and `locked`; None: same order
+    in_file: tuple[int, ...] | None = None
+    locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
+
+
+def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> JobController:
+    """Return the controller data of a job.
+
+    Args:
+        job: The job.
+        robot: Its robot.
+        of_model: True to read the order of the joints from the robot's model file, for MuJoCo key frames.
+
+    Raises:
+        InputError: If the job's section `program` names a joint that the robot does not command, or has another number
+            of pulses than the robot has joints, and for a model file that cannot be read.
+    """
+    own, asked = robot.joint_names, job.program
+
+    def index(key: str, name: str) -> int:
+        if name not in own:
+            what = "follows another joint" if name in robot.all_joint_names else "is not a joint"
+            raise InputError(f"program.{key}: {name!r} {what}; valid: {', '.join(own)}")
+        return own.index(name)
+
+    coupled = tuple((index("coupled", axis), index("coupled", joint)) for axis, joint in asked.coupled)
+    groups = pulses = in_file = None
+    if (named := asked.groups) is not None:
+        groups = ControllerGroups(
+            *(tuple(index("groups", name) for name in names) for names in (named.robot, named.base, named.station))
+        )
+        every = [*groups.robot, *groups.base, *groups.station]
+        if odd := [name for k, name in enumerate(own) if every.count(k) != 1]:
+            count = every.count(own.index(odd[0]))
+            raise InputError(f"program.groups has {odd[0]!r} {count} times; each joint must be in one group")
+    if (scale := asked.pulses) is not None:
+        zero = scale.zero_rad or (0.0,) * len(own)
+        for key, values in (("per_rad", scale.per_rad), ("zero_rad", zero)):
+            if len(values) != len(own):
+                raise InputError(
+                    f"program.pulses.{key} has {len(values)} values, but {robot.name} has {len(own)} joints"
+                )
+        if not all(scale.per_rad):
+            raise InputError("program.pulses.per_rad must not be 0 for any joint")
+        pulses = EncoderScale(np.array(scale.per_rad), np.array(zero))
+    locked: Mapping[str, float] = dict(job.robot.locked)
+    if of_model:
+        every_name = [*own, *(robot.all_joint_names[j] for j in robot.followers)]
+        found = joints_in_file(job.tree or job.robot.file, every_name, dict(locked))
+        in_file, locked = found.order, found.locked
+    return JobController(coupled, pulses, groups, in_file, locked)

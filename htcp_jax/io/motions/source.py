@@ -1,0 +1,175 @@
+"""A motion's file with what is needed to read it, and the rows that a format's reader returns."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, NoReturn, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.model import Robot
+
+DEG = np.pi / 180
+ANGLES = {"rad": 1.0, "deg": DEG}
+LENGTHS = {"m": 1.0, "mm": 1e-3}
+MOST_LISTED = 300  # maximum number of characters of a list of names in a message
+
+
+@runtime_checkable
+class PulseScale(Protocol):
+    """Encoder scale of a controller."""
+
+    @property
+    def per_unit(self) -> Float[np.ndarray, "N"]:
+        """Pulses [1/rad or 1/m]."""
+
+    @property
+    def zero(self) -> Float[np.ndarray, "N"]:
+        """Joint values at 0 pulses [rad or m]."""
+
+
+@runtime_checkable
+class Groups(Protocol):
+    """Indices of the joints in each group of a controller."""
+
+    @property
+    def robot(self) -> tuple[int, ...]:
+        """The robot's joints."""
+
+    @property
+    def base(self) -> tuple[int, ...]:
+        """Axes that carry the robot."""
+
+    @property
+    def station(self) -> tuple[int, ...]:
+        """Axes of the positioner."""
+
+
+@runtime_checkable
+class Controller(Protocol):
+    """Controller data that a file's joint values need; `trajectory.ControllerData` has these fields."""
+
+    @property
+    def coupled(self) -> tuple[tuple[int, int], ...]:
+        """Indices of coupled axes and of the joints that are added to them."""
+
+    @property
+    def pulses(self) -> PulseScale | None:
+        """Encoder scale."""
+
+    @property
+    def groups(self) -> Groups | None:
+        """Joint groups; None: all joints are the robot's."""
+
+    @property
+    def in_file(self) -> tuple[int, ...] | None:
+        """Index of each joint of the model file, counted over the robot's joints, its followers and `locked`."""
+
+    @property
+    def locked(self) -> Mapping[str, float]:
+        """Values of joints that do not move [rad or m], by name."""
+
+
+class Source(NamedTuple):
+    """A motion's file, its content, and what it is read for."""
+
+    file: Path
+    data: bytes
+    robot: Robot
+    controller: Controller
+    unit: str | None  # of angles: "deg" or "rad"; None: as the file or its format states
+
+    @property
+    def text(self) -> str:
+        """The content as text.
+
+        Raises:
+            InputError: If it is not UTF-8.
+        """
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = self.data.count(b"\n", 0, error.start) + 1
+            raise InputError(f"{self.file}, line {line}: it is not UTF-8 text") from None
+
+    def fail(self, line: int, message: str) -> NoReturn:
+        """Raise an InputError that names a line.
+
+        Raises:
+            InputError: Always.
+        """
+        self.fail_at(f"line {line}", message)
+
+    def fail_at(self, place: str, message: str) -> NoReturn:
+        """Raise an InputError that names a place in the file, such as "point 3".
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError(f"{self.file}, {place}: {message}")
+
+    def check_unit(self, format: str, holds: str) -> None:
+        """Check the requested unit of angles against the one of a format.
+
+        Raises:
+            InputError: If they differ.
+        """
+        if self.unit is not None and self.unit != holds:
+            raise InputError(f"{self.file}: {format} holds {holds}; --unit {self.unit} contradicts that")
+
+    def check_uncoupled(self, format: str) -> None:
+        """Check that the job couples no axes, which only RAPID's writer and reader support.
+
+        Raises:
+            InputError: If it does.
+        """
+        if self.controller.coupled:
+            raise InputError(f"{self.file}: {format} does not support program.coupled; remove the key, or use rapid")
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """Indices of the joints of robot, base and station."""
+        if (groups := self.controller.groups) is None:
+            return tuple(range(self.robot.dof)), (), ()
+        return groups.robot, groups.base, groups.station
+
+
+class Rows(NamedTuple):
+    """Rows of a file, with values in the file's units."""
+
+    names: tuple[str, ...]  # joints of the M columns
+    values: Float[np.ndarray, "n M"]  # in the file's units
+    line: Int[np.ndarray, "n"]
+    scale: Float[np.ndarray, "M"] | None = None  # units of the columns [rad or m]; None: 1
+    time_s: Float[np.ndarray, "n"] | None = None
+    velocity: Float[np.ndarray, "n M"] | None = None  # [rad/s or m/s]
+    acceleration: Float[np.ndarray, "n M"] | None = None  # [rad/s2 or m/s2]
+    corner_m: Float[np.ndarray, "n"] | None = None
+    kind: tuple[str, ...] | None = None
+    interpolation: str = "linear"  # as the format's controller runs it
+    notes: tuple[str, ...] = ()
+    poses: Float[np.ndarray, "n 4 4"] | None = None  # [m]
+    counted: str = "line"  # what `line` counts
+    relative_rounding: float | None = None  # of numbers that are not written in decimals [1]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as text, cut if it is long."""
+    text = ", ".join(names)
+    return text if len(text) <= MOST_LISTED else f"{text[:MOST_LISTED]}..."
+
+
+def corners(radii_m: Sequence[float]) -> Float[np.ndarray, "n"] | None:
+    """Return the radii of corners as an array; None if all are 0."""
+    return np.array(radii_m, float) if any(radii_m) else None
+
+
+def elapsed(durations_s: Sequence[float | None]) -> Float[np.ndarray, "n"] | None:
+    """Return the times from the first configuration [s]; None if a duration after the first one is unknown.
+
+    Args:
+        durations_s: Duration of the move to each configuration [s]; None: unknown. The first one is not used.
+    """
+    known = [each for each in durations_s[1:] if each is not None]
+    return np.cumsum([0.0, *known]) if len(known) == len(durations_s) - 1 and known else None
