@@ -1,17 +1,22 @@
 from .curves import JointCurves, corners, polynomials, straight
+from .file_proof import FileProof, motion_curves, prove_file
 from .prove import MotionProof, prove, prove_curves
 from .scene import scene_of
-from .worst import Contact, deepest_contact
+from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
     "Contact",
+    "FileProof",
     "JointCurves",
     "MotionProof",
     "corners",
     "deepest_contact",
+    "deepest_contacts",
+    "motion_curves",
     "polynomials",
     "prove",
     "prove_curves",
+    "prove_file",
     "scene_of",
     "straight",
 ]
