@@ -19,6 +19,7 @@ from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.io import motions
 from htcp_jax.io.motions import MotionFile
+from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
@@ -93,6 +94,7 @@ def prove_file(
     overrides: Sequence[str] | Mapping[str, Any] = (),
     margin_m: float = 0.0,
     tracking_rad: float | Sequence[float] = 0.0,
+    tracking_m: float | None = None,
     kept: float = KEPT,
     device: str | None = None,
     progress: Progress = lambda what, done, count: None,
@@ -111,6 +113,7 @@ def prove_file(
         margin_m: Required clearance [m].
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
+        tracking_m: That of sliding joints, if `tracking_rad` is one value [m]; None: required if there are any.
         kept: See `htcp_jax.prove`.
         device: The device; None: a GPU if there is one.
         progress: Function that is called with the current step as text, and the numbers of finished and all parts.
@@ -128,7 +131,7 @@ def prove_file(
     problem, job = scene.problem, scene.job
     data = () if job is None else (motions.controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
     found = motions.read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
-    lag = tracking_of(tracking_rad, problem.robot.dof)
+    lag = _tracking(problem.robot, tracking_rad, tracking_m)
     about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
     about |= {"margin_m": margin_m, "tracking": lag}
     with devices.on(problem.devices[0]):
@@ -167,6 +170,23 @@ def prove_file(
         deviation=deviation,
         seconds=time.perf_counter() - began,
     )
+
+
+def _tracking(
+    robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None
+) -> Float[np.ndarray, "N"]:
+    """Return the largest distance of each joint from the motion [rad or m].
+
+    Raises:
+        InputError: For invalid values, and if the one for sliding joints is missing.
+    """
+    lag, slides = tracking_of(tracking_rad, robot.dof), np.asarray(robot.sliding, bool)
+    if np.ndim(tracking_rad) or not slides.any() or not lag.any():
+        return lag
+    if tracking_m is None:
+        names = ", ".join(name for name, slide in zip(robot.joint_names, slides, strict=True) if slide)
+        raise InputError(f"tracking of the sliding joints {names} is missing: pass a length, too, as in 0.1deg,0.2mm")
+    return np.where(slides, tracking_of(tracking_m, robot.dof), lag)
 
 
 def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
