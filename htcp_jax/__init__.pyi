@@ -18,6 +18,7 @@ from .placement.place import place
 from .planning.extensions import register
 from .planning.method import Method
 from .planning.tracking.null_space import null_space_objective
+from .proving.file_proof import FileProof, prove_file
 from .proving.prove import MotionProof, prove
 from .report import charts
 from .report.reach_study import reach_study
@@ -32,6 +33,7 @@ from .trajectory.run_timing import time_run
 
 __all__ = [
     "AxisRow",
+    "FileProof",
     "GeneratedDuct",
     "InputError",
     "Method",
@@ -71,6 +73,7 @@ __all__ = [
     "plan",
     "point_of",
     "prove",
+    "prove_file",
     "reach_study",
     "reanchor",
     "register",

@@ -29,6 +29,7 @@ logging.getLogger("matplotlib").setLevel(logging.ERROR)
 COMMANDS = {
     "plan": "Plan one job: motion, summary, picture.",
     "program": "Time a plan and write it as a robot program.",
+    "prove": "Prove that the motion in a file of any tool is clear.",
     "robot": "Convert a URDF or MJCF model to an arm of capsules.",
     "cell": "Convert a URDF or MJCF model in which the part moves.",
     "sweep": "Plan every scenario of a parameter grid by several methods.",

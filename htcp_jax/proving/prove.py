@@ -98,9 +98,7 @@ def prove(
     within = np.arange(motions * points - 1) % points < points - 1  # without the steps from motion to motion
     curves = JointCurves(*tables.gather(tuple(curves), within))
     curves = curves._replace(segment=np.arange(len(curves.segment)))
-    lag = np.asarray(tracking_rad, float)
-    if lag.ndim > 1 or (lag.ndim and lag.shape != (joints,)) or not (lag >= 0).all() or not np.isfinite(lag).all():
-        raise InputError(f"tracking_rad is {tracking_rad}; valid: one number of 0 or more, or {joints} of them")
+    lag = tracking_of(tracking_rad, joints)
     found = prove_curves(problem, curves.within(lag), margin_m=margin_m, kept=kept)
     shape = (points - 1,) if x.ndim == 2 else (motions, points - 1)
     return MotionProof(
@@ -109,6 +107,22 @@ def prove(
         found.place.reshape(shape),
         found.queries.reshape(shape),
     )
+
+
+def tracking_of(tracking_rad: float | Sequence[float], joints: int) -> Float[np.ndarray, "N"]:
+    """Return the largest distance of each joint from a motion [rad or m].
+
+    Args:
+        tracking_rad: One value, or one per joint [rad or m].
+        joints: Number of joints.
+
+    Raises:
+        InputError: For another number of values, and for values below 0 or not finite.
+    """
+    lag = np.asarray(tracking_rad, float)
+    if lag.ndim > 1 or (lag.ndim and lag.shape != (joints,)) or not (lag >= 0).all() or not np.isfinite(lag).all():
+        raise InputError(f"tracking_rad is {tracking_rad}; valid: one number of 0 or more, or {joints} of them")
+    return np.broadcast_to(lag, joints)
 
 
 def prove_curves(

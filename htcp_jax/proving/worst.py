@@ -1,5 +1,6 @@
 """Where a refuted motion collides: the place of the deepest contact found on a segment, its body and its obstacle."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,19 +32,44 @@ def deepest_contact(problem: Problem, curves: JointCurves, segment: int) -> Cont
         curves: The joint paths.
         segment: Number of the segment.
     """
-    best = None
-    for row in np.flatnonzero(curves.segment == segment):
-        low, high = 0.0, 1.0
+    return deepest_contacts(problem, curves, [segment])[0]
+
+
+def deepest_contacts(
+    problem: Problem,
+    curves: JointCurves,
+    segments: Sequence[int],
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> list[Contact]:
+    """Return the configuration with the smallest clearance on each of several segments, see `deepest_contact`.
+
+    Args:
+        problem: The problem, see `scene.scene_of`.
+        curves: The joint paths.
+        segments: Numbers of the segments.
+        progress: Function that is called with the numbers of segments measured so far, and of all segments.
+
+    Raises:
+        ValueError: If no path belongs to a segment.
+    """
+    found: list[Contact] = []
+    for segment in segments:
+        rows = np.flatnonzero(curves.segment == segment)
+        if not len(rows):
+            raise ValueError(f"no path belongs to segment {segment}")
+        low, high, best = np.zeros(len(rows)), np.ones(len(rows)), None
         for _ in range(ROUNDS):
-            s = np.linspace(low, high, PLACES)
-            x = np.polynomial.polynomial.polyval(s, curves.coefficients[row]).T
-            clearance = start_cause.clearances_at(problem, x)
-            k = int(clearance.argmin())
-            begin, end = curves.span[row]
-            if best is None or clearance[k] < best[0]:
-                best = float(clearance[k]), float(begin + s[k] * (end - begin)), x[k]
-            low, high = s[max(k - 1, 0)], s[min(k + 1, PLACES - 1)]
-    if best is None:
-        raise ValueError(f"no path belongs to segment {segment}")
-    clearance_m, place, x = best
-    return Contact(segment, place, x, *start_cause.nearest_bodies(problem, x), clearance_m)
+            s = np.linspace(low, high, PLACES)  # (PLACES, rows)
+            powers = s[..., None] ** np.arange(curves.coefficients.shape[1])
+            x = np.einsum("prk,rkn->prn", powers, curves.coefficients[rows])
+            clearance = start_cause.clearances_at(problem, x.reshape(-1, x.shape[2])).reshape(s.shape)
+            k, row = map(int, np.unravel_index(clearance.argmin(), s.shape))
+            if best is None or clearance[k, row] < best[0]:
+                begin, end = curves.span[rows[row]]
+                best = float(clearance[k, row]), float(begin + s[k, row] * (end - begin)), x[k, row]
+            least, each = clearance.argmin(axis=0), np.arange(len(rows))
+            low, high = s[np.maximum(least - 1, 0), each], s[np.minimum(least + 1, PLACES - 1), each]
+        clearance_m, place, at = best
+        found.append(Contact(int(segment), place, at, *start_cause.nearest_bodies(problem, at), clearance_m))
+        progress(len(found), len(segments))
+    return found

@@ -8,7 +8,7 @@ columns by key. `total`, `before_and_now` and `listed` return a column in the fo
 The columns of a run's Parquet files have descriptions, which `described` adds to the files' metadata. `TARGETS`
 describes the table of targets, with one row per method, scenario and target. `SCENARIOS` describes the table of
 scenarios (one row per method and scenario), `TIMING` the table of times (one row per scenario), and `MOUNTINGS` the
-table of a placement search (one row per mounting). Columns of joints, coordinates and varied keys have general
+table of a placement search (one row per mounting), `SEGMENTS` the one of a proof (one row per segment). Columns of joints, coordinates and varied keys have general
 descriptions.
 """
 
@@ -204,7 +204,23 @@ MOUNTINGS = {
     "complete": "True if all targets are tracked",
     "lost": "reason why the mounting fails; null if it is complete",
 }
-TABLES = {"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS}
+SEGMENTS = {
+    "segment": "number of the segment, from 0; it leads from one configuration of the file to the next",
+    "line_begin": "line, row, point or key of the file with the configuration at which the segment begins",
+    "line_end": "that of the configuration at which it ends",
+    "kind": "kind of the motion to the segment's end, in files of this package; null if unknown",
+    "begin_s": "time at its begin; null if the file has no times",
+    "end_s": "time at its end",
+    "verdict": "VALID, IN_COLLISION, BELOW_MARGIN, UNDECIDED; NOT_CHECKED in a file that has only poses",
+    "clearance_m": "guaranteed clearance on all of the segment; null if it is not proven, or without obstacles",
+    "place_share": "place at which the segment is refuted or undecided, from 0 at its begin to 1; null if proven",
+    "deepest_share": "place of the deepest contact that was found; null, as all below, if none was searched",
+    "body": "body of the robot at the deepest contact",
+    "other": "obstacle, or other body of the robot, at the deepest contact",
+    "depth_m": "depth of the deepest contact; below 0: distance at the nearest place that was found",
+    "queries": "intervals that were checked",
+}
+TABLES = {"targets": TARGETS, "scenarios": SCENARIOS, "timing": TIMING, "mountings": MOUNTINGS, "segments": SEGMENTS}
 
 # The only rules for values that are not finite: a value may be missing (null, or NaN in arrays) in the rows and columns
 # that are not listed here. Infinity is never valid. `finite` applies these rules to all tables that are read.
@@ -218,6 +234,7 @@ NEEDED = {  # rows in which a column must have a value
     | dict.fromkeys(("clearance_min_m", "residual_max_m", "joint_motion_rad"), TRACKED),
     "timing": {"scenario": ALWAYS},
     "mountings": dict.fromkeys(("round", "done", "complete"), ALWAYS),
+    "segments": dict.fromkeys(("segment", "line_begin", "line_end", "verdict", "queries"), ALWAYS),
 }
 
 

@@ -1,11 +1,12 @@
 from .deviation import Deviation, FileMotion, deviations, joined_configurations, worst_deviation
-from .displacement import tcp_at
+from .displacement import in_padded_sizes, tcp_at
 from .figures import ProgramFigures, Share, program_figures
 from .file_motion import points_needed
 from .formats.controller_limits import exceeded_limits
 from .formats.parts import ProgramFile
 from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
+from .limits import stated_limits
 from .limits_file import check_ranges, limits_of_job, limits_overrides
 from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, with_program
 from .program import Program
@@ -28,6 +29,7 @@ __all__ = [
     "deviations",
     "exceeded_limits",
     "format_of",
+    "in_padded_sizes",
     "joined_configurations",
     "limits_of_job",
     "limits_overrides",
@@ -36,6 +38,7 @@ __all__ = [
     "program_of",
     "program_of_plans",
     "requested_feed",
+    "stated_limits",
     "tcp_at",
     "time_run",
     "with_program",

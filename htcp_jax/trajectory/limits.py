@@ -70,6 +70,24 @@ def joint_limits(
     return MotionLimits(velocity, acceleration, _given_or(given["jerk"], default))
 
 
+def stated_limits(
+    robot: Robot, job: config.ProgramConfig | None = None, stated: JointLimits | None = None
+) -> MotionLimits:
+    """Return the limits that a job, its file of limits or the robot's model states; infinite where none does.
+
+    Args:
+        robot: The arm.
+        job: Section `program` of the job; None: no job.
+        stated: Limits in the file that the job's `robot.limits` names, see `limits_of_job`; None: no file.
+
+    Raises:
+        InputError: If a list in the job has not one value per joint.
+    """
+    own = own_rates(robot, stated)
+    given = {kind: None if job is None else own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in RATES}
+    return MotionLimits(*(_given_or(given[kind], own[kind]) for kind in ("velocity", "acceleration", "jerk")))
+
+
 def own_rates(robot: Robot, *stated: JointLimits | None) -> dict[str, Float[np.ndarray, "N"]]:
     """Return the limits of the coordinates by kind [rad or m, per s, s2 or s3]; infinite without one.
 

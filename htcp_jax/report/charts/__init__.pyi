@@ -1,4 +1,5 @@
 from .along_path import clearance_along, joint_motion, joint_motion_by_joint, manipulability_along, stops, survival
+from .motion_proof import proof_chart
 from .success import Axis, success, success_line, success_map, success_slices
 
 __all__ = [
@@ -7,6 +8,7 @@ __all__ = [
     "joint_motion",
     "joint_motion_by_joint",
     "manipulability_along",
+    "proof_chart",
     "stops",
     "success",
     "success_line",

@@ -1,0 +1,271 @@
+"""`htcp prove`: prove that the motion in a trajectory or program of any tool is clear, segment by segment."""
+
+import math
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from htcp_jax.cli.output import (
+    Device,
+    Json,
+    Overrides,
+    claim_device,
+    print_facts,
+    print_json,
+    print_table,
+    progress_bar,
+    stdout,
+)
+from htcp_jax.errors import InputError
+from htcp_jax.report import Table
+from htcp_jax.runs import Column
+from htcp_jax.system import output_files
+
+if TYPE_CHECKING:
+    from htcp_jax.proving import FileProof
+
+LISTED = 10  # maximum number of groups of segments on the terminal
+LENGTHS, ANGLES = {"mm": 1e-3, "m": 1.0, "um": 1e-6}, {"deg": math.pi / 180, "rad": 1.0}
+STYLES = {"proven": "bold green", "refuted": "bold red", "undecided": "bold yellow", "not proven": "bold yellow"}
+_QUANTITY = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*([a-z]+)\s*", re.IGNORECASE)
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="Trajectory or robot program.")]
+Job = Annotated[Path, typer.Option(metavar="JOB.yaml", help="Job file or example: the robot, its tool and the cell.")]
+Format = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Format of the file; by default by its ending and content.")
+]
+Unit = Annotated[
+    str | None, typer.Option(metavar="deg|rad", help="Unit of angles; by default as the file or its format states.")
+]
+Interpolation = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Motion between two configurations: linear, cubic (the file has velocities) or quintic (also "
+        "accelerations); by default as the format's controller moves.",
+    ),
+]
+Margin = Annotated[
+    str | None, typer.Option(metavar="LENGTH", help="Required clearance, such as 1mm; by default any above 0.")
+]
+Tracking = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ANGLE",
+        help="Largest distance of each joint from the file's motion, at any time, such as 0.1deg: the servo's lag, or "
+        "any other deviation. The arm is proven clear wherever the joints are within it. By default 0. With sliding "
+        "joints an angle and a length: 0.1deg,0.2mm.",
+    ),
+]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
+
+
+def prove(
+    file: File,
+    job: Job,
+    format: Format = None,
+    unit: Unit = None,
+    interpolation: Interpolation = None,
+    margin: Margin = None,
+    tracking: Tracking = None,
+    overrides: Overrides = None,
+    out: Out = Path("out/prove"),
+    device: Device = None,
+    as_json: Json = False,
+) -> int:
+    """Prove or refute that the motion in a file of any tool is clear in the cell of a job, segment by segment.
+
+    Reads trajectories (CSV, ROS, NumPy, MuJoCo key frames) and robot programs with joint targets (RAPID, URScript,
+    Yaskawa pulses), and moves between their configurations as their controllers do. A proof holds for every point of
+    the motion, not for samples. Writes proof.json, segments.parquet (one row per segment) and proof.png.
+
+    Also reported: joint limits, and where the job has a path, the distance of the TCP from it.
+
+    Exit codes: 0 if all segments are proven, 1 if one is refuted or a joint limit is violated, 4 if none is refuted but
+    some are undecided or cannot be proven, 2 on bad input.
+
+    \b
+    Examples:
+      htcp prove program.mod --job cell.yaml
+      htcp prove trajectory.csv --job cell.yaml --unit deg --margin 1mm
+      htcp prove trajectory.yaml --job cell.yaml --tracking 0.1deg --out out/proof
+    """
+    began = time.perf_counter()
+    margin_m = quantity("--margin", margin, LENGTHS, "1mm")
+    angle, length = _tracking(tracking)
+    claim_device(device)
+    from htcp_jax.proving import PICTURE, exit_code, proof_record, prove_file, write_proof  # here, as it imports JAX
+    from htcp_jax.report import charts
+
+    with output_files.written_whole(out) as folder:
+        with progress_bar("paths", first="reading the file and building the scene") as progress:
+
+            def show(what: str, done: int, count: int) -> None:
+                text = "" if what == "paths" else f" proven; {what}"
+                progress(done, count, text if done else f"{text}; compiling")
+
+            found = prove_file(
+                file,
+                job,
+                format=format,
+                unit=unit,
+                interpolation=interpolation,
+                overrides=overrides or (),
+                margin_m=margin_m,
+                tracking_rad=angle,
+                tracking_m=length,
+                device=device,
+                progress=show,
+            )
+            write_proof(folder, found)
+            if found.proof is not None:
+                charts.proof_chart(found).savefig(folder / PICTURE)
+    if as_json:
+        print_json(proof_record(found))
+    else:
+        _print_proof(found, out, time.perf_counter() - began)
+    return exit_code(found)
+
+
+def quantity(option: str, text: str | None, units: dict[str, float], example: str) -> float:
+    """Return the value of an option with a unit, in the SI unit; 0 if it is not set.
+
+    Args:
+        option: Name of the option, for messages.
+        text: Its value, such as "1mm"; None: not set.
+        units: Valid units, each in the SI unit.
+        example: A valid value, for messages.
+
+    Raises:
+        InputError: If the text is not a number of 0 or more with one of the units.
+    """
+    if text is None:
+        return 0.0
+    found = _QUANTITY.fullmatch(text)
+    try:
+        value = float(found[1]) * units[found[2].lower()] if found else math.nan
+    except (KeyError, ValueError):
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise InputError(
+            f"{option} {text}: it must be a number of 0 or more with a unit, such as {example}; "
+            f"units: {', '.join(units)}"
+        )
+    return value
+
+
+def _tracking(text: str | None) -> tuple[float, float | None]:
+    """Return the tracking error of revolute joints [rad], and of sliding joints [m]; None if it is not set.
+
+    Raises:
+        InputError: See `quantity`.
+    """
+    if text is None:
+        return 0.0, 0.0
+    angle, comma, length = text.partition(",")
+    return (
+        quantity("--tracking", angle, ANGLES, "0.1deg"),
+        quantity("--tracking", length, LENGTHS, "0.1deg,0.2mm") if comma else None,
+    )
+
+
+def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
+    from htcp_jax.proving import headline
+
+    text = headline(found)
+    stdout().print(Text.assemble((found.verdict, STYLES[found.verdict]), text.removeprefix(found.verdict)))
+    if found.violated:
+        names = ", ".join(f"{use.quantity} of {use.joint}" for use in found.violated)
+        stdout().print(Text.assemble(("limit violated", "bold red"), f": {names}"))
+    stdout().print()
+    if (table := unproven_table(found)).rows:
+        print_table(stdout(), table)
+        stdout().print()
+    print_facts(f"{found.robot}: {found.file.name}", _facts(found, seconds) | {"files": str(out)})
+
+
+def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
+    from htcp_jax.proving import counts, limit_text
+
+    motion, tracking = found.motion, found.tracking
+    facts = {
+        "segments": f"{len(motion.line) - 1:,}: " + ", ".join(f"{n:,} {word}" for word, n in counts(found).items()),
+        "format": f"{motion.format}, {_motion_text(found)}",
+    }
+    if motion.notes:
+        facts["notes"] = " ".join(motion.notes)
+    facts["required"] = f"clearance above {1e3 * found.margin_m:g} mm" if found.margin_m == 0 else (
+        f"clearance of {1e3 * found.margin_m:g} mm"
+    )
+    if tracking.any():
+        facts["tracking"] = f"joints within {math.degrees(tracking.max()):.4g} deg of the motion"
+    for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
+        uses = [limit_text(use) for use in found.limits if use.quantity == quantity_]
+        facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)
+    facts |= _deviation_facts(found)
+    queries = 0 if found.proof is None else int(found.proof.queries.sum())
+    return facts | {"time": f"{seconds:.1f} s; {queries:,} intervals checked"}
+
+
+def _motion_text(found: "FileProof") -> str:
+    motion = found.motion
+    if found.proof is None:
+        return "poses of the TCP"
+    rounded = motion.corner_m is not None and (motion.corner_m > 0).any()
+    times = "no times" if motion.time_s is None else f"{motion.time_s[-1] - motion.time_s[0]:.4g} s"
+    return f"{motion.interpolation} interpolation in the joints{', rounded corners' if rounded else ''}, {times}"
+
+
+def _deviation_facts(found: "FileProof") -> dict[str, str]:
+    from htcp_jax.proving import lines_of
+
+    if (deviation := found.deviation) is None:
+        return {}
+    facts = {
+        "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {lines_of(found, deviation.segment)}, at sampled "
+        f"places (tolerance {1e3 * deviation.tolerance_m:g} mm)",
+        "path covered": f"{100 * deviation.covered_m / deviation.length_m:.1f} % of {1e3 * deviation.length_m:.4g} mm, "
+        f"compared on {lines_of(found, deviation.first, deviation.last)}",
+    }
+    rows = []
+    for row in deviation.rows:
+        size = f"{math.degrees(row.error):.3g} deg" if row.is_angle else f"{1e3 * row.error:.3g} mm"
+        rows.append(f"{row.row}: {size}")
+    return facts | ({"task rows": "; ".join(rows) + ", at sampled places"} if rows else {})
+
+
+def unproven_table(found: "FileProof") -> Table:
+    """Return the table of refuted and undecided segments; consecutive ones with the same verdict are one row."""
+    from htcp_jax.proving import unproven_groups
+
+    line, rows = found.motion.line, []
+    groups = unproven_groups(found)
+    for group in groups[:LISTED]:
+        contact = None if group.deepest is None else found.contacts[group.deepest]
+        row = {
+            "lines": f"{line[group.first]} to {line[group.last + 1]}",
+            "count": group.last - group.first + 1,
+            "verdict": group.verdict.words,
+        }
+        if contact is not None and group.deepest is not None:
+            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "at_percent": 100 * contact.place}
+            row |= {"at_s": found.time_at(group.deepest, contact.place), "depth_mm": -1e3 * contact.clearance_m}
+            row |= {"body": contact.body, "obstacle": contact.other}
+        rows.append(row)
+    chosen = (
+        Column("lines", f"{found.counted}s"),
+        Column("count", "segments", "", ",d"),
+        Column("verdict", "verdict"),
+        Column("deepest", "deepest on"),
+        Column("at_percent", "at", "%", ".0f"),
+        Column("at_s", "at", "s", ".4g"),
+        Column("depth_mm", "depth", "mm", ".3g"),
+        Column("body", "body"),
+        Column("obstacle", "obstacle"),
+    )
+    title = f"the {LISTED} deepest of {len(groups):,} groups" if len(groups) > LISTED else ""
+    return Table.of("unproven", chosen, rows, title).without_empty()

@@ -1,0 +1,208 @@
+"""Prove the motion in a file: `htcp_jax.prove_file("motion.csv", "cell.yaml")`.
+
+The file is read by `io.motions`, which also determines how the controller moves between its configurations. The result,
+a `FileProof`, has one verdict per segment, the deepest contacts, the use of the joints' limits, and the deviation from
+the job's path.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.clearance import Obstacle
+from htcp_jax.device import devices
+from htcp_jax.errors import InputError
+from htcp_jax.io import motions
+from htcp_jax.io.motions import MotionFile
+from htcp_jax.model import Robot
+from htcp_jax.motion import Problem
+from htcp_jax.proving.curves import JointCurves, corners, polynomials
+from htcp_jax.proving.motion_limits import LimitUse, limit_uses
+from htcp_jax.proving.path_deviation import PathDeviation, path_deviation, pose_deviation, tcp_positions
+from htcp_jax.proving.prove import KEPT, MotionProof, prove_curves, tracking_of
+from htcp_jax.proving.scene import Cell, ProofScene, scene_of
+from htcp_jax.proving.worst import Contact, deepest_contacts
+from htcp_jax.spec import ObstacleKind, TaskRowKind
+from htcp_jax.status import SegmentStatus
+
+MOST_CONTACTS = 200  # refuted and undecided segments of which the deepest contact is measured
+COUNTED = {"npy": "row", "npz": "row", "ros": "point", "ros-json": "point", "keyframes": "key"}  # else lines
+WITHOUT_LIMITS = "the joint limits are not checked, as the file has no joint values"
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class FileProof:
+    """Proof of the motion in a file; m segments lead from each of its configurations to the next."""
+
+    file: Path
+    motion: MotionFile
+    robot: str  # its name
+    joints: tuple[str, ...]  # their names
+    margin_m: float  # required clearance
+    tracking: Float[np.ndarray, "N"]  # largest distance of each joint from the motion [rad or m]
+    curves: JointCurves | None  # joint paths; None: the file has no joint values
+    proof: MotionProof | None  # verdicts of the m segments; None: the file has no joint values
+    contacts: Mapping[int, Contact]  # deepest contact found, by segment
+    limits: tuple[LimitUse, ...]
+    deviation: PathDeviation | None  # None: no path, or no configuration near it
+    seconds: float  # time of reading, building the scene and proving
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on the motion: "proven", "refuted", "undecided" or "not proven"."""
+        if self.proof is None:
+            return "not proven"
+        return "proven" if self.proof.proven else "refuted" if self.proof.refuted else "undecided"
+
+    @property
+    def guaranteed_m(self) -> float:
+        """Guaranteed clearance of the motion [m]; NaN if it is not proven, infinite without obstacles."""
+        return float("nan") if self.proof is None else float(self.proof.guaranteed_m)
+
+    @property
+    def violated(self) -> tuple[LimitUse, ...]:
+        """Violated limits."""
+        return tuple(use for use in self.limits if use.is_violated)
+
+    @property
+    def counted(self) -> str:
+        """What `motion.line` counts: "line", "row", "point" or "key"."""
+        return COUNTED.get(self.motion.format, "line")
+
+    def time_at(self, segment: int, share: float) -> float | None:
+        """Return the time at a share of a segment [s]; None if the file has no times."""
+        if (times := self.motion.time_s) is None:
+            return None
+        return float(times[segment] + share * (times[segment + 1] - times[segment]))
+
+
+def prove_file(
+    file: str | Path,
+    cell: Cell = None,
+    *,
+    format: str | None = None,
+    unit: str | None = None,
+    interpolation: str | None = None,
+    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    margin_m: float = 0.0,
+    tracking_rad: float | Sequence[float] = 0.0,
+    tracking_m: float | None = None,
+    kept: float = KEPT,
+    device: str | None = None,
+    progress: Progress = lambda what, done, count: None,
+) -> FileProof:
+    """Prove or refute that the motion in a file is clear, as its controller runs it.
+
+    Args:
+        file: A trajectory or a robot program; `htcp_jax.io.motions.MOTION_FORMATS` lists the formats.
+        cell: A robot, or a job: a file, the name of an example, a mapping; None: the default job.
+        format: Name of the format; None: by the file's ending and content.
+        unit: Unit of angles, "deg" or "rad"; None: as the file or its format states.
+        interpolation: "linear", "cubic" or "quintic"; None: as the format's controller interpolates.
+        obstacles: Obstacles in addition to the job's.
+        task: Task rows that replace the job's.
+        overrides: Changes to the job, see `htcp_jax.plan`.
+        margin_m: Required clearance [m].
+        tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
+            per joint.
+        tracking_m: That of sliding joints, if `tracking_rad` is one value [m]; None: required if there are any.
+        kept: See `htcp_jax.prove`.
+        device: The device; None: a GPU if there is one.
+        progress: Function that is called with the current step as text, and the numbers of finished and all parts.
+
+    Returns:
+        Verdicts, contacts, limits and deviation from the path.
+
+    Raises:
+        InputError: If the file, the job or an argument is invalid.
+    """
+    began, file = time.perf_counter(), Path(file)
+    if not 0 <= margin_m < np.inf:
+        raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
+    scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
+    problem, job = scene.problem, scene.job
+    data = () if job is None else (motions.controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
+    found = motions.read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
+    lag = _tracking(problem.robot, tracking_rad, tracking_m)
+    about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
+    about |= {"margin_m": margin_m, "tracking": lag}
+    with devices.on(problem.devices[0]):
+        if found.poses is not None:
+            deviation = pose_deviation(problem, found.poses[:, :3, 3]) if scene.has_part else None
+            seconds = time.perf_counter() - began
+            return FileProof(
+                **about, curves=None, proof=None, contacts={}, limits=(), deviation=deviation, seconds=seconds
+            )
+        if len(found.x) < 2:
+            raise InputError(f"{file} has one configuration; a motion has two or more")
+        curves = motion_curves(problem, found)
+        progress("paths", 0, len(curves.segment))
+        proof = prove_curves(
+            problem,
+            curves.within(lag),
+            margin_m=margin_m,
+            kept=kept,
+            progress=lambda done, count: progress("paths", done, count),
+        )
+        unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
+        # Refuted segments come before undecided ones.
+        unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
+        chosen = np.sort(unproven[:MOST_CONTACTS]).tolist()
+        contacts = deepest_contacts(
+            problem, curves, chosen, lambda done, count: progress("contacts", done, count)
+        )
+        limits = limit_uses(problem.robot, motions.polynomials(found), found.time_s, job)
+        deviation = _deviation(scene, curves, found)
+    return FileProof(
+        **about,
+        curves=curves,
+        proof=proof,
+        contacts={each.segment: each for each in contacts},
+        limits=limits,
+        deviation=deviation,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _tracking(
+    robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None
+) -> Float[np.ndarray, "N"]:
+    """Return the largest distance of each joint from the motion [rad or m].
+
+    Raises:
+        InputError: For invalid values, and if the one for sliding joints is missing.
+    """
+    lag, slides = tracking_of(tracking_rad, robot.dof), np.asarray(robot.sliding, bool)
+    if np.ndim(tracking_rad) or not slides.any() or not lag.any():
+        return lag
+    if tracking_m is None:
+        names = ", ".join(name for name, slide in zip(robot.joint_names, slides, strict=True) if slide)
+        raise InputError(f"tracking of the sliding joints {names} is missing: pass a length, too, as in 0.1deg,0.2mm")
+    return np.where(slides, tracking_of(tracking_m, robot.dof), lag)
+
+
+def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
+    """Return the joint paths that a motion's controller may take.
+
+    Args:
+        problem: The problem, see `scene_of`.
+        motion: The motion; its configurations are joint values, not poses.
+    """
+    if motion.corner_m is not None and (motion.corner_m > 0).any():
+        return corners(motion.x, motion.corner_m, lambda x: tcp_positions(problem, x))
+    return polynomials(motions.polynomials(motion))
+
+
+def _deviation(scene: ProofScene, curves: JointCurves, motion: MotionFile) -> PathDeviation | None:
+    if not scene.has_part:
+        return None
+    rows = () if scene.job is None else tuple(str(row) for row in scene.job.task)
+    return path_deviation(scene.problem, curves, motion.x, motion.kind, rows)

@@ -1,0 +1,225 @@
+"""Deviation of a motion from the job's path: distance of the TCP, errors of the task's rows, share of the path.
+
+All figures are measured at sampled places of the segments: both ends, and BETWEEN places between them.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.model import Robot, Task
+from htcp_jax.model import robot as robots
+from htcp_jax.motion import Problem
+from htcp_jax.numerics import safe_norm
+from htcp_jax.proving.curves import JointCurves
+from htcp_jax.trajectory import in_padded_sizes, tcp_at
+
+BETWEEN = 8  # sampled places between the ends of a joint path
+NEAR_M = 1e-3  # configurations within this distance of the path, or its tolerance, begin and end the process
+TIED_M = 1e-5  # points of the path count as equally near within this distance
+JUMP = 3.0  # consecutive samples cover the path between them if it is at most this times as long as the TCP's step
+CHUNK = 4096  # sampled places at a time
+PROCESS = ("process", "dwell")  # kinds of rows on the path in this package's files
+
+
+class RowDeviation(NamedTuple):
+    """Largest error of one row of the task."""
+
+    row: str  # the row, as the job writes it
+    error: float  # error, or violation of a cone or band [rad if `is_angle`, else m]
+    is_angle: bool
+    segment: int | None  # segment on which it occurs; None: the row is never violated
+
+
+class PathDeviation(NamedTuple):
+    """Deviation of a motion from the job's path, at sampled places."""
+
+    first: int  # first segment that is compared with the path
+    last: int  # last one
+    distance_m: float  # largest distance of the TCP from the path
+    segment: int  # segment on which it occurs
+    tolerance_m: float  # the job's path tolerance
+    length_m: float  # length of the path
+    covered_m: float  # length of the path that the TCP passes within NEAR_M, or within the tolerance
+    rows: tuple[RowDeviation, ...]
+
+
+class _Path(NamedTuple):
+    """Path of a job as a polyline."""
+
+    points: Float[np.ndarray, "T 3"]  # world, or the part's frame if the part moves [m]
+    goals: Float[np.ndarray, "T G"]
+    along: Float[np.ndarray, "T"]  # length from the first point [m]
+
+
+def tcp_positions(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
+    """Return the TCP's positions with the scenario's tool, world, or the part's frame if the part moves [m]."""
+    return tcp_at(_with_tool(problem), x)[0]
+
+
+def path_deviation(
+    problem: Problem, curves: JointCurves, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None, rows: tuple[str, ...]
+) -> PathDeviation | None:
+    """Return the deviation of a motion from the path of the problem's first scenario.
+
+    Args:
+        problem: The problem.
+        curves: The motion's joint paths.
+        x: Its configurations [rad or m].
+        kind: Kind of each configuration in the motion's file; None: unknown.
+        rows: The task's rows as text.
+
+    Returns:
+        The deviation; None if the path has fewer than two points, or if no configuration is near it.
+    """
+    path, near_m = _path(problem), max(NEAR_M, problem.settings.tube_m)
+    if path is None:
+        return None
+    on = _process(problem, path, x, kind, near_m)
+    certain = np.flatnonzero(curves.is_certain & on[curves.segment])
+    if not len(certain):
+        return None
+    share = np.linspace(0, 1, BETWEEN + 2)
+    powers = share[:, None] ** np.arange(curves.coefficients.shape[1])
+    sampled = np.einsum("pk,mkn->mpn", powers, curves.coefficients[certain]).reshape(-1, x.shape[1])
+    segment = np.repeat(curves.segment[certain], len(share))
+    tcp = tcp_positions(problem, sampled)
+    distance, place = _nearest(path, tcp)
+    worst = int(distance.argmax())
+    covered = _covered(path, tcp, place, distance <= near_m)
+    segments = np.flatnonzero(on)
+    return PathDeviation(
+        int(segments[0]),
+        int(segments[-1]),
+        float(distance[worst]),
+        int(segment[worst]),
+        float(problem.settings.tube_m),
+        float(path.along[-1]),
+        covered,
+        _row_deviations(problem, path, sampled, place, segment, rows),
+    )
+
+
+def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDeviation | None:
+    """Return the deviation of TCP positions from the path [m]; None without a path, or if no position is near it.
+
+    The positions from the first to the last one that is near the path are compared.
+    """
+    path, near_m = _path(problem), max(NEAR_M, problem.settings.tube_m)
+    if path is None or not len(points):
+        return None
+    distance, place = _nearest(path, points)
+    near = np.flatnonzero(distance <= near_m)
+    if not len(near):
+        return None
+    first, last = int(near[0]), int(near[-1])
+    worst = first + int(distance[first : last + 1].argmax())
+    covered = _covered(path, points[first : last + 1], place[first : last + 1], distance[first : last + 1] <= near_m)
+    tolerance_m, length_m = float(problem.settings.tube_m), float(path.along[-1])
+    return PathDeviation(first, last, float(distance[worst]), worst, tolerance_m, length_m, covered, ())
+
+
+def _with_tool(problem: Problem) -> Robot:
+    return robots.lengthen_tool(problem.robot, float(problem.scenarios.tool_extension_m[0]))
+
+
+def _path(problem: Problem) -> _Path | None:
+    here = problem.scenarios
+    rows = slice(int(here.on_path[0]), int(here.count[0]))
+    points, goals = np.asarray(here.targets[0][rows, :3], float), np.asarray(here.goals[0][rows], float)
+    if len(points) < 2:
+        return None
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    return _Path(points, goals, along) if along[-1] > 0 else None
+
+
+def _process(
+    problem: Problem, path: _Path, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None, near_m: float
+) -> Bool[np.ndarray, "m"]:
+    """Return True for the segments on the path."""
+    if kind is not None and any(name in PROCESS for name in kind):
+        return np.array([name in PROCESS for name in kind[1:]])
+    on = np.zeros(len(x) - 1, bool)
+    near = np.flatnonzero(_nearest(path, tcp_positions(problem, x))[0] <= near_m)
+    if len(near):
+        on[near[0] : near[-1]] = True
+    return on
+
+
+def _nearest(path: _Path, points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Return the distances of points from the path [m], and the places of its nearest points, counted in targets.
+
+    Among places that are equally near, such as both ends of a closed path, the one nearest to the previous point's
+    place is chosen.
+    """
+    a, d = path.points[:-1], np.diff(path.points, axis=0)
+    squared = np.maximum((d * d).sum(axis=1), 1e-30)
+    distance, place, before = np.empty(len(points)), np.empty(len(points)), 0.0
+    size = max(1, CHUNK * 64 // len(d))
+    for first in range(0, len(points), size):
+        off = points[first : first + size, None] - a
+        share = np.clip((off * d).sum(axis=2) / squared, 0, 1)
+        apart = np.linalg.norm(off - share[..., None] * d, axis=2)
+        least = apart.min(axis=1)
+        distance[first : first + size] = least
+        for k in range(len(least)):
+            near = np.flatnonzero(apart[k] <= least[k] + TIED_M)
+            at = near + share[k, near]
+            before = place[first + k] = at[np.abs(at - before).argmin()]
+    return distance, place
+
+
+def _covered(
+    path: _Path, tcp: Float[np.ndarray, "n 3"], place: Float[np.ndarray, "n"], near: Bool[np.ndarray, "n"]
+) -> float:
+    """Return the length of the path between consecutive places that are near it [m]."""
+    s = np.interp(place, np.arange(len(path.along)), path.along)
+    low, high = np.minimum(s[:-1], s[1:]), np.maximum(s[:-1], s[1:])
+    step = np.linalg.norm(np.diff(tcp, axis=0), axis=1)
+    counted = near[:-1] & near[1:] & (high - low <= JUMP * step + NEAR_M)
+    low, high = low[counted], high[counted]
+    order, covered, end = np.argsort(low), 0.0, 0.0
+    for begin, until in zip(low[order].tolist(), high[order].tolist(), strict=True):
+        covered += max(0.0, until - max(begin, end))
+        end = max(end, until)
+    return covered
+
+
+def _row_deviations(
+    problem: Problem,
+    path: _Path,
+    x: Float[np.ndarray, "n N"],
+    place: Float[np.ndarray, "n"],
+    segment: Int[np.ndarray, "n"],
+    names: tuple[str, ...],
+) -> tuple[RowDeviation, ...]:
+    task = problem.task
+    before = np.clip(np.floor(place).astype(int), 0, len(path.points) - 2)
+    both = np.stack([before, before + 1], axis=1)
+    goals = task.interpolated(path.goals[both], place - before, path.points[both])
+    (errors,) = in_padded_sizes(partial(_row_errors, task), _with_tool(problem), x, goals)
+    found = []
+    for k, part in enumerate(task.parts):
+        worst = int(errors[:, k].argmax())
+        error = float(errors[worst, k])
+        name = names[k] if k < len(names) else "TCP on path"
+        found.append(RowDeviation(name, error, bool(part.angular), int(segment[worst]) if error > 0 else None))
+    return tuple(found)
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0, 0))
+def _row_errors(task: Task, robot: Robot, x, goal):
+    """Return each row's error, or the violation of its inequalities [m or rad]."""
+    value, found, v = task.value(robot, x), [], 0
+    for start, part in zip(task.starts, task.parts, strict=True):
+        own = value[v : v + part.size], goal[start : start + part.numbers]
+        v += part.size
+        error = safe_norm(part.error(*own)) if part.equalities else jnp.zeros(())
+        broken = jnp.max(-part.slack(*own), initial=0.0) if part.inequalities else jnp.zeros(())
+        found.append(jnp.maximum(error, broken))
+    return (jnp.stack(found),)

@@ -1,0 +1,221 @@
+"""A file's proof as rows of its segments, groups of unproven segments, text, JSON and files."""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+
+from htcp_jax.io import arrays
+from htcp_jax.proving.file_proof import FileProof
+from htcp_jax.proving.motion_limits import LimitUse
+from htcp_jax.runs import columns, provenance
+from htcp_jax.status import SegmentStatus
+from htcp_jax.system import files, output_files
+
+PROOF, SEGMENTS, PICTURE = "proof.json", "segments.parquet", "proof.png"
+NAME = "segments"  # of the table in `columns.TABLES`
+SCHEMA = pa.schema(
+    [
+        ("segment", pa.int32()),
+        ("line_begin", pa.int64()),
+        ("line_end", pa.int64()),
+        ("kind", pa.string()),
+        ("begin_s", pa.float64()),
+        ("end_s", pa.float64()),
+        ("verdict", pa.string()),
+        ("clearance_m", pa.float64()),
+        ("place_share", pa.float64()),
+        ("deepest_share", pa.float64()),
+        ("body", pa.string()),
+        ("other", pa.string()),
+        ("depth_m", pa.float64()),
+        ("queries", pa.int64()),
+    ]
+)
+REFUTED, UNDECIDED = 1, 4  # exit codes
+
+
+class UnprovenGroup(NamedTuple):
+    """Consecutive segments with the same verdict, none of them proven."""
+
+    first: int
+    last: int
+    verdict: SegmentStatus
+    deepest: int | None  # segment with the deepest contact; None: not measured
+
+
+def exit_code(found: FileProof) -> int:
+    """Return the exit code of `htcp prove`: 0, REFUTED also for a violated limit, or UNDECIDED."""
+    if found.verdict == "refuted" or found.violated:
+        return REFUTED
+    return 0 if found.verdict == "proven" else UNDECIDED
+
+
+def segment_rows(found: FileProof) -> list[dict[str, Any]]:
+    """Return one mapping per segment with the columns of `columns.SEGMENTS`; unknown values are None."""
+    motion, proof = found.motion, found.proof
+    rows = []
+    for k in range(len(motion.line) - 1):
+        contact = found.contacts.get(k)
+        row: dict[str, Any] = dict.fromkeys(SCHEMA.names)
+        row |= {"segment": k, "line_begin": int(motion.line[k]), "line_end": int(motion.line[k + 1])}
+        row |= {"kind": None if motion.kind is None else motion.kind[k + 1]}
+        row |= {"begin_s": found.time_at(k, 0.0), "end_s": found.time_at(k, 1.0)}
+        row |= {"verdict": SegmentStatus.NOT_CHECKED.name, "queries": 0}
+        if proof is not None:
+            row |= {"verdict": SegmentStatus(int(proof.verdict[k])).name, "queries": int(proof.queries[k])}
+            row |= {"clearance_m": _finite(proof.clearance_m[k]), "place_share": _finite(proof.place[k])}
+        if contact is not None:
+            row |= {"deepest_share": contact.place, "body": contact.body, "other": contact.other}
+            row |= {"depth_m": -contact.clearance_m}
+        rows.append(row)
+    return rows
+
+
+def unproven_groups(found: FileProof) -> list[UnprovenGroup]:
+    """Return the refuted and undecided segments in groups, refuted ones first, each by depth."""
+    if found.proof is None:
+        return []
+    verdicts, groups, begin = [SegmentStatus(int(each)) for each in found.proof.verdict], [], 0
+    for k in range(1, len(verdicts) + 1):
+        if k < len(verdicts) and verdicts[k] == verdicts[begin]:
+            continue
+        if verdicts[begin] != SegmentStatus.VALID:
+            known = [each for each in range(begin, k) if each in found.contacts]
+            deepest = min(known, key=lambda each: found.contacts[each].clearance_m, default=None)
+            groups.append(UnprovenGroup(begin, k - 1, verdicts[begin], deepest))
+        begin = k
+    return sorted(groups, key=lambda each: _rank(found, each))
+
+
+def _rank(found: FileProof, group: UnprovenGroup) -> tuple[bool, float]:
+    clearance = math.inf if group.deepest is None else found.contacts[group.deepest].clearance_m
+    return group.verdict == SegmentStatus.UNDECIDED, clearance
+
+
+def lines_of(found: FileProof, first: int, last: int | None = None) -> str:
+    """Return the place of segments in the file as text, such as "lines 4 to 5".
+
+    Args:
+        found: The proof.
+        first: The first segment.
+        last: The last segment; None: the first one.
+    """
+    line = found.motion.line
+    return f"{found.counted}s {line[first]} to {line[(first if last is None else last) + 1]}"
+
+
+def headline(found: FileProof) -> str:
+    """Return the verdict and its reason as one line."""
+    if found.proof is None:
+        count = len(found.motion.line)
+        return f"not proven: the file has {count} poses; the motion between them is the controller's own"
+    if found.verdict == "proven":
+        if math.isinf(found.guaranteed_m):
+            return "proven: nothing is there to collide with"
+        k = int(found.proof.clearance_m.argmin())
+        return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}"
+    group = unproven_groups(found)[0]
+    if group.deepest is None:
+        return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
+    contact = found.contacts[group.deepest]
+    where = f"{found.verdict}: {_where(found, group.deepest, contact.place)}"
+    if contact.clearance_m <= 0:
+        return f"{where}: {contact.body} is {_mm(-contact.clearance_m)} inside {contact.other}"
+    apart = f"{where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
+    return f"{apart}, less than the margin of {_mm(found.margin_m)}" if found.verdict == "refuted" else apart
+
+
+def _where(found: FileProof, segment: int, share: float | None = None) -> str:
+    """Return a segment, and a place on it, as text."""
+    text = lines_of(found, segment)
+    begin, end = found.time_at(segment, 0.0), found.time_at(segment, 1.0)
+    if share is None:
+        return text if begin is None else f"{text} ({begin:.4g} to {end:.4g} s)"
+    time_s = found.time_at(segment, share)
+    return f"{text}, {100 * share:.0f} % of the way" + ("" if time_s is None else f" ({time_s:.4g} s)")
+
+
+def counts(found: FileProof) -> dict[str, int]:
+    """Return the number of segments by verdict, as in tables."""
+    if found.proof is None:
+        return {"not proven": len(found.motion.line) - 1}
+    codes = [int(each) for each in found.proof.verdict]
+    return {status.words: codes.count(status) for status in SegmentStatus if status in codes}
+
+
+def proof_record(found: FileProof) -> dict[str, Any]:
+    """Return the proof as values for JSON."""
+    motion, proof = found.motion, found.proof
+    rows = segment_rows(found)
+    least = None if proof is None or found.verdict != "proven" else int(proof.clearance_m.argmin())
+    return {
+        "file": str(found.file),
+        "verdict": found.verdict,
+        "headline": headline(found),
+        "exit_code": exit_code(found),
+        "robot": found.robot,
+        "joints": list(found.joints),
+        "format": motion.format,
+        "interpolation": motion.interpolation,
+        "notes": list(motion.notes),
+        "configurations": len(motion.line),
+        "duration_s": None if motion.time_s is None else float(motion.time_s[-1] - motion.time_s[0]),
+        "margin_m": found.margin_m,
+        "tracking": [float(each) for each in found.tracking],
+        "segments": len(rows),
+        "segments_by_verdict": counts(found),
+        "clearance_m": _finite(found.guaranteed_m),
+        "clearance_segment": least,
+        "unproven": [row for row in rows if row["verdict"] != SegmentStatus.VALID.name],
+        "limits": [use._asdict() for use in found.limits],
+        "limits_violated": bool(found.violated),
+        "deviation": _deviation_record(found),
+        "queries": 0 if proof is None else int(proof.queries.sum()),
+        "seconds": found.seconds,
+    }
+
+
+def _deviation_record(found: FileProof) -> dict[str, Any] | None:
+    if (deviation := found.deviation) is None:
+        return None
+    return deviation._asdict() | {"rows": [row._asdict() for row in deviation.rows]}
+
+
+def limit_text(use: LimitUse) -> str:
+    """Return a use of a limit as text, such as "42 % of the limit (joint_a3)"."""
+    if use.quantity == "position" and use.is_violated:
+        return f"{_size(use, use.excess or 0.0)} beyond its limit of {_size(use, use.limit or 0.0)} ({use.joint})"
+    if use.quantity == "position":
+        return f"kept; nearest to its limit: {use.joint}" if use.share is not None else "no limits"
+    if use.share is None:
+        return f"at most {_size(use, use.largest)} ({use.joint}); no limit is stated"
+    return f"{100 * use.share:.3g} % of the limit of {_size(use, use.limit or 0.0)} ({use.joint})"
+
+
+def _size(use: LimitUse, value: float) -> str:
+    """Return a value of a joint with its unit, in degrees or mm."""
+    per = {"position": "", "velocity": "/s", "acceleration": "/s2", "jerk": "/s3"}[use.quantity]
+    return f"{1e3 * value:.4g} mm{per}" if use.is_slide else f"{math.degrees(value):.4g} deg{per}"
+
+
+def write_proof(folder: Path, found: FileProof) -> None:
+    """Write proof.json and segments.parquet into a folder.
+
+    Raises:
+        InputError: If a file cannot be written.
+    """
+    record = proof_record(found)
+    output_files.write_json(folder / PROOF, record)
+    rows = pa.Table.from_pylist(segment_rows(found), SCHEMA)
+    made = {"file": str(found.file), **provenance.planned_by()}
+    files.write_atomically(folder, SEGMENTS, arrays.parquet_bytes(columns.described(rows, NAME, (), made)))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.3g} mm"
