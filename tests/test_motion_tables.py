@@ -152,7 +152,7 @@ BOTH = f"joints of gp50: {', '.join(J)}; of the file: "
         (f"{ROW}\n", ", line 1: the header with the joints' names is missing"),
         (table("t", *J, row=f"1,{ROW}\n1,{ROW}"), ", line 3: the time is 1 s after 1 s; times must increase"),
         (table("t", *J, row=f"0,{ROW}\n2,{ROW}\n1,{ROW}"), ", line 4: the time is 1 s after 2 s; times must increase"),
-        ("target,segment_status,path_clear,residual_m\n", ", line 1: a plan's table with one row per target; its motion"),
+        ("target,segment_status,path_clear,residual_m\n", ", line 1: a plan's table with one row per target; its mo"),
     ],
 )  # fmt: skip
 def test_a_damaged_table_is_refused_with_its_line(text, message, tmp_path):
@@ -437,6 +437,7 @@ PARTS = {  # of the file with the motion: what it begins with, and what follows 
 }  # fmt: skip
 UNREAD = {  # speeds, tools, gains and targets, by the text of the line up to the digit
     "csv": r"[^,]*,[A-Z]+,\d*", "rapid": r".*(,v\d*|,tool\d*)", "urscript": r".*\](,[^,]*){1,2}|.*\](,[^,]*){4,5}",
+    "keyframes": r'.*name="\d*',
 }  # fmt: skip
 
 
