@@ -34,6 +34,10 @@ STILL = {
     "close", "write", "socketsend", "socketcreate", "socketconnect", "socketclose", "waitrob", "return", "exit",
     "break", "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uimsgbox",
 }  # fmt: skip
+ABOUT_ZONES = (
+    "Zones are read as radii around the TCP; the manual says that they may differ somewhat in joint motions, and that the "
+    "tool's orientation and external axes may leave the path earlier."
+)
 FROM_HERE = "The motion to the first configuration is not in the file."
 
 
@@ -74,8 +78,9 @@ def read_rapid(source: Source) -> Rows:
     if moves:
         corners_m[0] = corners_m[-1] = 0.0  # nothing is cut at the ends
     notes = [
-        "RAPID: MoveAbsJ moves the axes in proportion, linear between configurations; zones are radii around the TCP.",
+        "RAPID: MoveAbsJ moves the axes in proportion, linear between configurations.",
         FROM_HERE,
+        *([ABOUT_ZONES] if any(corners_m) else []),
         *notes,
     ]
     return Rows(
