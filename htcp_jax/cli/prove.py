@@ -98,8 +98,8 @@ def prove(
     margin_m = quantity("--margin", margin, LENGTHS, "1mm")
     angle, length = _tracking(tracking)
     claim_device(device)
-    from htcp_jax.proving import PICTURE, exit_code, proof_record, prove_file, write_proof  # here, as it imports JAX
-    from htcp_jax.report import charts
+    from htcp_jax.proving import proof_record, prove_file  # here, as it imports JAX
+    from htcp_jax.report import draw_proof
 
     with output_files.written_whole(out) as folder:
         with progress_bar("paths", first="reading the file and building the scene") as progress:
@@ -121,14 +121,14 @@ def prove(
                 device=device,
                 progress=show,
             )
-            write_proof(folder, found)
+            proof_record.write_proof(folder, found)
             if found.proof is not None:
-                charts.proof_chart(found).savefig(folder / PICTURE)
+                draw_proof(folder / proof_record.PICTURE, found)
     if as_json:
-        print_json(proof_record(found))
+        print_json(proof_record.record_of(found))
     else:
         _print_proof(found, out, time.perf_counter() - began)
-    return exit_code(found)
+    return proof_record.exit_code(found)
 
 
 def quantity(option: str, text: str | None, units: dict[str, float], example: str) -> float:
@@ -174,9 +174,9 @@ def _tracking(text: str | None) -> tuple[float, float | None]:
 
 
 def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
-    from htcp_jax.proving import headline
+    from htcp_jax.proving import proof_record
 
-    text = headline(found)
+    text = proof_record.headline(found)
     stdout().print(Text.assemble((found.verdict, STYLES[found.verdict]), text.removeprefix(found.verdict)))
     if found.violated:
         names = ", ".join(f"{use.quantity} of {use.joint}" for use in found.violated)
@@ -189,22 +189,25 @@ def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
 
 
 def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
-    from htcp_jax.proving import counts, limit_text
+    from htcp_jax.proving import proof_record
 
     motion, tracking = found.motion, found.tracking
     facts = {
-        "segments": f"{len(motion.line) - 1:,}: " + ", ".join(f"{n:,} {word}" for word, n in counts(found).items()),
+        "segments": f"{len(motion.line) - 1:,}: "
+        + ", ".join(f"{n:,} {word}" for word, n in proof_record.counts(found).items()),
         "format": f"{motion.format}, {_motion_text(found)}",
     }
     if motion.notes:
         facts["notes"] = " ".join(motion.notes)
-    facts["required"] = f"clearance above {1e3 * found.margin_m:g} mm" if found.margin_m == 0 else (
-        f"clearance of {1e3 * found.margin_m:g} mm"
+    facts["required"] = (
+        f"clearance above {1e3 * found.margin_m:g} mm"
+        if found.margin_m == 0
+        else (f"clearance of {1e3 * found.margin_m:g} mm")
     )
     if tracking.any():
         facts["tracking"] = f"joints within {math.degrees(tracking.max()):.4g} deg of the motion"
     for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
-        uses = [limit_text(use) for use in found.limits if use.quantity == quantity_]
+        uses = [proof_record.limit_text(use) for use in found.limits if use.quantity == quantity_]
         facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)
     facts |= _deviation_facts(found)
     queries = 0 if found.proof is None else int(found.proof.queries.sum())
@@ -221,15 +224,17 @@ def _motion_text(found: "FileProof") -> str:
 
 
 def _deviation_facts(found: "FileProof") -> dict[str, str]:
-    from htcp_jax.proving import lines_of
+    from htcp_jax.proving import proof_record
 
     if (deviation := found.deviation) is None:
         return {}
+    worst = proof_record.lines_of(found, deviation.segment)
+    compared = proof_record.lines_of(found, deviation.first, deviation.last)
+    covered = 100 * deviation.covered_m / deviation.length_m
     facts = {
-        "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {lines_of(found, deviation.segment)}, at sampled "
-        f"places (tolerance {1e3 * deviation.tolerance_m:g} mm)",
-        "path covered": f"{100 * deviation.covered_m / deviation.length_m:.1f} % of {1e3 * deviation.length_m:.4g} mm, "
-        f"compared on {lines_of(found, deviation.first, deviation.last)}",
+        "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {worst}, at sampled places "
+        f"(tolerance {1e3 * deviation.tolerance_m:g} mm)",
+        "path covered": f"{covered:.1f} % of {1e3 * deviation.length_m:.4g} mm, compared on {compared}",
     }
     rows = []
     for row in deviation.rows:
@@ -240,10 +245,10 @@ def _deviation_facts(found: "FileProof") -> dict[str, str]:
 
 def unproven_table(found: "FileProof") -> Table:
     """Return the table of refuted and undecided segments; consecutive ones with the same verdict are one row."""
-    from htcp_jax.proving import unproven_groups
+    from htcp_jax.proving import proof_record
 
     line, rows = found.motion.line, []
-    groups = unproven_groups(found)
+    groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
         contact = None if group.deepest is None else found.contacts[group.deepest]
         row = {

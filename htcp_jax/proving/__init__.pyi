@@ -1,24 +1,18 @@
+from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
-from .proof_record import PICTURE, counts, exit_code, headline, limit_text, lines_of, proof_record, unproven_groups, write_proof
 from .prove import MotionProof, prove, prove_curves
 from .scene import scene_of
 from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
-    "PICTURE",
     "Contact",
     "FileProof",
     "JointCurves",
     "MotionProof",
     "corners",
-    "counts",
     "deepest_contact",
     "deepest_contacts",
-    "exit_code",
-    "headline",
-    "limit_text",
-    "lines_of",
     "motion_curves",
     "polynomials",
     "proof_record",
@@ -27,6 +21,4 @@ __all__ = [
     "prove_file",
     "scene_of",
     "straight",
-    "unproven_groups",
-    "write_proof",
 ]

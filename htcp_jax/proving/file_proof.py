@@ -17,8 +17,8 @@ from jaxtyping import Float
 from htcp_jax.clearance import Obstacle
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
-from htcp_jax.io import motions
-from htcp_jax.io.motions import MotionFile
+from htcp_jax.io.motions import MotionFile, controller_of, read_motion
+from htcp_jax.io.motions import polynomials as polynomials_of
 from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, polynomials
@@ -51,7 +51,7 @@ class FileProof:
     contacts: Mapping[int, Contact]  # deepest contact found, by segment
     limits: tuple[LimitUse, ...]
     deviation: PathDeviation | None  # None: no path, or no configuration near it
-    seconds: float  # time of reading, building the scene and proving
+    seconds: float  # time of reading, building the scene and proving [s]
 
     @property
     def verdict(self) -> str:
@@ -129,8 +129,8 @@ def prove_file(
         raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
     scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
     problem, job = scene.problem, scene.job
-    data = () if job is None else (motions.controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
-    found = motions.read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
+    data = () if job is None else (controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
+    found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
     lag = _tracking(problem.robot, tracking_rad, tracking_m)
     about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
     about |= {"margin_m": margin_m, "tracking": lag}
@@ -156,10 +156,8 @@ def prove_file(
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
         chosen = np.sort(unproven[:MOST_CONTACTS]).tolist()
-        contacts = deepest_contacts(
-            problem, curves, chosen, lambda done, count: progress("contacts", done, count)
-        )
-        limits = limit_uses(problem.robot, motions.polynomials(found), found.time_s, job)
+        contacts = deepest_contacts(problem, curves, chosen, lambda done, count: progress("contacts", done, count))
+        limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(
         **about,
@@ -172,9 +170,7 @@ def prove_file(
     )
 
 
-def _tracking(
-    robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None
-) -> Float[np.ndarray, "N"]:
+def _tracking(robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None) -> Float[np.ndarray, "N"]:
     """Return the largest distance of each joint from the motion [rad or m].
 
     Raises:
@@ -198,7 +194,7 @@ def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
     """
     if motion.corner_m is not None and (motion.corner_m > 0).any():
         return corners(motion.x, motion.corner_m, lambda x: tcp_positions(problem, x))
-    return polynomials(motions.polynomials(motion))
+    return polynomials(polynomials_of(motion))
 
 
 def _deviation(scene: ProofScene, curves: JointCurves, motion: MotionFile) -> PathDeviation | None:

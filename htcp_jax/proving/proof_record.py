@@ -145,7 +145,7 @@ def counts(found: FileProof) -> dict[str, int]:
     return {status.words: codes.count(status) for status in SegmentStatus if status in codes}
 
 
-def proof_record(found: FileProof) -> dict[str, Any]:
+def record_of(found: FileProof) -> dict[str, Any]:
     """Return the proof as values for JSON."""
     motion, proof = found.motion, found.proof
     rows = segment_rows(found)
@@ -206,7 +206,7 @@ def write_proof(folder: Path, found: FileProof) -> None:
     Raises:
         InputError: If a file cannot be written.
     """
-    record = proof_record(found)
+    record = record_of(found)
     output_files.write_json(folder / PROOF, record)
     rows = pa.Table.from_pylist(segment_rows(found), SCHEMA)
     made = {"file": str(found.file), **provenance.planned_by()}

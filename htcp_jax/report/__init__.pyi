@@ -2,12 +2,14 @@ from . import charts, gate, reach_study, timing_table, validation
 from .chapter import part_facts
 from .document import Table
 from .place_pictures import draw_search
+from .proof_picture import draw_proof
 from .report import make_report, report_record, write_report
 from .tables import result_row
 
 __all__ = [
     "Table",
     "charts",
+    "draw_proof",
     "draw_search",
     "gate",
     "make_report",

@@ -8,8 +8,8 @@ columns by key. `total`, `before_and_now` and `listed` return a column in the fo
 The columns of a run's Parquet files have descriptions, which `described` adds to the files' metadata. `TARGETS`
 describes the table of targets, with one row per method, scenario and target. `SCENARIOS` describes the table of
 scenarios (one row per method and scenario), `TIMING` the table of times (one row per scenario), and `MOUNTINGS` the
-table of a placement search (one row per mounting), `SEGMENTS` the one of a proof (one row per segment). Columns of joints, coordinates and varied keys have general
-descriptions.
+table of a placement search (one row per mounting), `SEGMENTS` the one of a proof
+(one row per segment). Columns of joints, coordinates and varied keys have general descriptions.
 """
 
 import json

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from htcp_jax.proving import FileProof, headline, unproven_groups
+from htcp_jax.proving import FileProof, proof_record
 from htcp_jax.report.charts.style import INK, QUIET, decimal, new_figure, plain_axes
 from htcp_jax.status import SegmentStatus
 
@@ -16,7 +16,8 @@ PROVEN, REFUTED, UNDECIDED = "#009e73", "#d55e00", "#e69f00"
 COLOURS = {SegmentStatus.VALID: PROVEN, SegmentStatus.UNDECIDED: UNDECIDED}  # else REFUTED
 NAMED = 4  # number of contacts that are labelled
 LONGEST = 110  # maximum number of characters of the note
-TOP_MM = 1e4  # clearances are drawn up to here
+DECADES = 30.0  # ratio of the largest clearance to the smallest from which the axis is logarithmic
+LOWEST_MM, TOP_MM = 1e-4, 1e4  # clearances are drawn between these
 
 
 def proof_chart(found: FileProof) -> Figure:
@@ -31,9 +32,13 @@ def proof_chart(found: FileProof) -> Figure:
     proof, times = found.proof, found.motion.time_s
     assert proof is not None
     edges = np.arange(len(proof.verdict) + 1, dtype=float) if times is None else times
-    groups, text = unproven_groups(found), headline(found)
-    figure = new_figure(5.6 if groups else 3.6, found.file.name, text if len(text) <= LONGEST else f"{text[:LONGEST]}...")
-    panels = figure.subplots(2 if groups else 1, 1, squeeze=False, sharex=True, height_ratios=(3, 2)[: 2 if groups else 1])
+    groups, text = proof_record.unproven_groups(found), proof_record.headline(found)
+    figure = new_figure(
+        5.6 if groups else 3.6, found.file.name, text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    )
+    panels = figure.subplots(
+        2 if groups else 1, 1, squeeze=False, sharex=True, height_ratios=(3, 2)[: 2 if groups else 1]
+    )
     _draw_clearance(panels[0, 0], found, edges)
     if groups:
         _draw_contacts(panels[1, 0], found, edges)
@@ -48,17 +53,20 @@ def proof_chart(found: FileProof) -> Figure:
 def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]) -> None:
     proof = found.proof
     assert proof is not None
-    clearance = np.minimum(1e3 * proof.clearance_m, TOP_MM)
-    for group in unproven_groups(found):
+    clearance = np.clip(1e3 * proof.clearance_m, LOWEST_MM, TOP_MM)
+    for group in proof_record.unproven_groups(found):
         colour = COLOURS.get(group.verdict, REFUTED)
         axes.axvspan(edges[group.first], edges[group.last + 1], color=colour, alpha=0.3, linewidth=0)
     axes.hlines(clearance, edges[:-1], edges[1:], color=PROVEN, linewidth=2.2)
     known = clearance[np.isfinite(clearance)]
     if known.size:
-        axes.set_yscale("log")
-        low = min(known.min(), 1e3 * found.margin_m if found.margin_m else np.inf)
-        axes.set_ylim(max(0.6 * low, 1e-4), 1.7 * known.max())
-        decimal(axes.yaxis)
+        low, high = max(float(known.min()), LOWEST_MM), float(known.max())
+        if high > DECADES * low:
+            axes.set_yscale("log")
+            axes.set_ylim(0.6 * min(low, 1e3 * found.margin_m or low), 1.7 * high)
+            decimal(axes.yaxis)
+        else:
+            axes.set_ylim(0, 1.15 * max(high, 1e3 * found.margin_m))
     if found.margin_m:
         axes.axhline(1e3 * found.margin_m, color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
     axes.set_ylabel("guaranteed clearance [mm]")
@@ -93,7 +101,7 @@ def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]
     low, high = min(0.0, *depth), max(0.0, *depth)
     room = 0.12 * (high - low or 1.0)
     axes.set_ylim(low - room, high + 3 * room)
-    for group in unproven_groups(found)[:NAMED]:
+    for group in proof_record.unproven_groups(found)[:NAMED]:
         if group.deepest is None:
             continue
         contact = found.contacts[group.deepest]
