@@ -197,8 +197,11 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
         + ", ".join(f"{n:,} {word}" for word, n in proof_record.counts(found).items()),
         "format": f"{motion.format}, {_motion_text(found)}",
     }
-    if motion.notes:
-        facts["notes"] = " ".join(motion.notes)
+    notes = list(motion.notes)
+    if motion.interpolation == "linear" and motion.velocity is not None and found.proof is not None:
+        notes.append("The file has velocities; --interpolation cubic proves the curve that keeps them.")
+    if notes:
+        facts["notes"] = " ".join(notes)
     facts["required"] = (
         f"clearance above {1e3 * found.margin_m:g} mm"
         if found.margin_m == 0
@@ -251,26 +254,21 @@ def unproven_table(found: "FileProof") -> Table:
     groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
         contact = None if group.deepest is None else found.contacts[group.deepest]
-        row = {
-            "lines": f"{line[group.first]} to {line[group.last + 1]}",
-            "count": group.last - group.first + 1,
-            "verdict": group.verdict.words,
-        }
+        row = {"lines": f"{line[group.first]} to {line[group.last + 1]}", "verdict": group.verdict.words}
         if contact is not None and group.deepest is not None:
-            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "at_percent": 100 * contact.place}
-            row |= {"at_s": found.time_at(group.deepest, contact.place), "depth_mm": -1e3 * contact.clearance_m}
-            row |= {"body": contact.body, "obstacle": contact.other}
+            time_s = found.time_at(group.deepest, contact.place)
+            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "at_s": time_s}
+            row |= {"at_percent": 100 * contact.place if time_s is None else None}
+            row |= {"depth_mm": -1e3 * contact.clearance_m, "bodies": f"{contact.body}, {contact.other}"}
         rows.append(row)
     chosen = (
         Column("lines", f"{found.counted}s"),
-        Column("count", "segments", "", ",d"),
         Column("verdict", "verdict"),
         Column("deepest", "deepest on"),
         Column("at_percent", "at", "%", ".0f"),
         Column("at_s", "at", "s", ".4g"),
         Column("depth_mm", "depth", "mm", ".3g"),
-        Column("body", "body"),
-        Column("obstacle", "obstacle"),
+        Column("bodies", "body, obstacle"),
     )
     title = f"the {LISTED} deepest of {len(groups):,} groups" if len(groups) > LISTED else ""
     return Table.of("unproven", chosen, rows, title).without_empty()
