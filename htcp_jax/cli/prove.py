@@ -198,8 +198,10 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
     }
     if motion.notes:
         facts["notes"] = " ".join(motion.notes)
-    facts["required"] = f"clearance above {1e3 * found.margin_m:g} mm" if found.margin_m == 0 else (
-        f"clearance of {1e3 * found.margin_m:g} mm"
+    facts["required"] = (
+        f"clearance above {1e3 * found.margin_m:g} mm"
+        if found.margin_m == 0
+        else (f"clearance of {1e3 * found.margin_m:g} mm")
     )
     if tracking.any():
         facts["tracking"] = f"joints within {math.degrees(tracking.max()):.4g} deg of the motion"

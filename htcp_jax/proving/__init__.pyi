@@ -1,6 +1,17 @@
 from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
-from .proof_record import PICTURE, counts, exit_code, headline, limit_text, lines_of, proof_record, unproven_groups, write_proof
+from .program_proof import ProgramProof, prove_program
+from .proof_record import (
+    PICTURE,
+    counts,
+    exit_code,
+    headline,
+    limit_text,
+    lines_of,
+    proof_record,
+    unproven_groups,
+    write_proof,
+)
 from .prove import MotionProof, prove, prove_curves
 from .scene import scene_of
 from .worst import Contact, deepest_contact, deepest_contacts
@@ -11,6 +22,7 @@ __all__ = [
     "FileProof",
     "JointCurves",
     "MotionProof",
+    "ProgramProof",
     "corners",
     "counts",
     "deepest_contact",
@@ -25,6 +37,7 @@ __all__ = [
     "prove",
     "prove_curves",
     "prove_file",
+    "prove_program",
     "scene_of",
     "straight",
     "unproven_groups",

@@ -156,9 +156,7 @@ def prove_file(
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
         chosen = np.sort(unproven[:MOST_CONTACTS]).tolist()
-        contacts = deepest_contacts(
-            problem, curves, chosen, lambda done, count: progress("contacts", done, count)
-        )
+        contacts = deepest_contacts(problem, curves, chosen, lambda done, count: progress("contacts", done, count))
         limits = limit_uses(problem.robot, motions.polynomials(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(
@@ -172,9 +170,7 @@ def prove_file(
     )
 
 
-def _tracking(
-    robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None
-) -> Float[np.ndarray, "N"]:
+def _tracking(robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None) -> Float[np.ndarray, "N"]:
     """Return the largest distance of each joint from the motion [rad or m].
 
     Raises:

@@ -150,6 +150,8 @@ def _bernstein(count: int) -> Float[np.ndarray, "P K K"]:
         shift = np.array(
             [[comb(k, j) * a ** (k - j) * width**j if k >= j else 0.0 for k in range(count)] for j in range(count)]
         )
-        change = np.array([[comb(i, j) / comb(degree, j) if i >= j else 0.0 for j in range(count)] for i in range(count)])
+        change = np.array(
+            [[comb(i, j) / comb(degree, j) if i >= j else 0.0 for j in range(count)] for i in range(count)]
+        )
         found.append(change @ shift)
     return np.stack(found)

@@ -62,7 +62,11 @@ def tcp_positions(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.nda
 
 
 def path_deviation(
-    problem: Problem, curves: JointCurves, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None, rows: tuple[str, ...]
+    problem: Problem,
+    curves: JointCurves,
+    x: Float[np.ndarray, "n N"],
+    kind: tuple[str, ...] | None,
+    rows: tuple[str, ...],
 ) -> PathDeviation | None:
     """Return the deviation of a motion from the path of the problem's first scenario.
 
