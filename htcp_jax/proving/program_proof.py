@@ -18,8 +18,6 @@ from htcp_jax.proving.worst import Contact, deepest_contact
 from htcp_jax.status import SegmentStatus
 from htcp_jax.trajectory import PlanProgram, ProgramFile
 
-READ_AS = {"jbi-pulses": "jbi"}  # formats of programs that one reader reads
-
 
 class ProgramProof(NamedTuple):
     """Proof of a program's files."""
@@ -83,7 +81,7 @@ def read_back(made: PlanProgram, format: str, files: Sequence[ProgramFile]) -> M
         for number, each in enumerate(each for each in files if len(each.rows)):
             path = Path(folder, f"part{number}")
             path.write_text(each.text)
-            parts.append(read_motion(path, made.robot, controller, format=READ_AS.get(format, format)))
+            parts.append(read_motion(path, made.robot, controller, format=format))
     return joined(parts)
 
 
