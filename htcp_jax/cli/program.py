@@ -181,7 +181,7 @@ def program(
         return REFUTED
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
     paths = write_files(out, files)
-    note_limits(format, len(file.timed.x))
+    note_limits(format, len(file.timed.x), len(files) - 1)
     checked = _check_motion(run, made, scenario, file if is_chosen else None) if check else {}
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)

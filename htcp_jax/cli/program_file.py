@@ -107,8 +107,11 @@ def part_facts(written: dict[Path, range]) -> dict[str, str]:
     }
 
 
-def note_limits(format: str, configurations: int) -> None:
-    """Warn in one line if a file exceeds publicly known limits of controllers or drivers that read its format."""
+def note_limits(format: str, configurations: int, parts: int) -> None:
+    """Warn in one line if a program is split, or exceeds publicly known limits of what reads its format."""
+    if parts:
+        what = f"the program has {configurations:,} configurations, more than one file of {format} may have"
+        warnings.warn(f"{what}: it calls {parts} parts, which are files next to it", Note, stacklevel=1)
     if known := exceeded_limits(format, configurations):
         limits = ", ".join(f"{each.most:,} ({each.whose})" for each in known)
         what = f"{configurations:,} {known[0].what}; known limits: {limits}"
