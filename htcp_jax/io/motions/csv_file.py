@@ -77,7 +77,7 @@ def check_radians(source: Source, angles: Float[np.ndarray, "n M"], line: np.nda
     """
     if source.unit is not None or not angles.size:
         return
-    beyond = np.abs(angles) > FULL_TURN
+    beyond = (np.abs(angles) > FULL_TURN) & np.isfinite(angles)
     if beyond.any():
         n, m = np.argwhere(beyond)[0].tolist()
         text = f"an angle is {angles[n, m]:g}, more than a turn in radians, and no unit is stated"

@@ -16,7 +16,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.motions.source import Rows, Source, listed
 
 POSITION = re.compile(r"([A-Z]{1,2})(\d{1,5})\s*=(.*)")
-VARIABLE = re.compile(r"(C|BC|EC|P|BP|EX)(\d{1,5})")
+VARIABLE = re.compile(r"\b(C|BC|EC|P|BP|EX)(\d{1,5})")
 NUMBER = re.compile(r"\s*[-+]?(?:\d+\.?\d*|\.\d+)\s*")
 KINDS = "C", "BC", "EC"  # position variables of robot, base and station, which belong to the job
 MOVES = "MOVJ", "MOVL", "MOVC", "MOVS"
@@ -61,14 +61,12 @@ def read_jbi_pulses(source: Source) -> Rows:
         )
     columns = dict(zip(KINDS, source.groups, strict=True))
     values, lines, rounded = [], [], False
-    for line, instruction, skipped in _moves(source, job, ("MOVJ",)):
+    for line, instruction, is_last in _moves(source, job, ("MOVJ",)):
         used = [(kind, int(number)) for kind, number in VARIABLE.findall(instruction)]
         kinds = [kind for kind, _ in used]
         _check_complete(source, line, instruction)
         if wrong := [kind for kind in kinds if kind not in KINDS]:
-            source.fail(
-                line, f"position variables {wrong[0]} belong to the controller; only C, BC and EC of the job are read"
-            )
+            source.fail(line, f"position {wrong[0]} belongs to the controller; only C, BC and EC of the job are read")
         if sorted(kinds) != sorted(kind for kind in KINDS if columns[kind]):
             needed = " ".join(kind for kind in KINDS if columns[kind])
             source.fail(line, f"it moves {' '.join(kinds) or 'no position'}; program.groups needs {needed}")
@@ -82,7 +80,7 @@ def read_jbi_pulses(source: Source) -> Rows:
                 group = listed([robot.joint_names[k] for k in own])
                 source.fail(position.line, f"{len(position.values)} values for {len(own)} joints: {group}")
             row[own] = position.values[: len(own)]
-        rounded |= not re.search(r"\bPL=0\b", instruction) and not skipped
+        rounded |= not re.search(r"\bPL=0\b", instruction) and not is_last
         values.append(row)
         lines.append(line)
     per_unit, zero = np.asarray(scale.per_unit, float), np.asarray(scale.zero, float)
@@ -217,7 +215,7 @@ def _check_complete(source: Source, line: int, instruction: str) -> None:
     Raises:
         InputError: If it has one.
     """
-    if (found := re.search(r"\b(UNTIL|SRCH|ENWAIT)\b", instruction)) is not None:
+    if (found := re.search(r"\b(UNTIL|SRCH)\b", instruction)) is not None:
         source.fail(line, f"{found[1]} ends a move early, which cannot be read")
 
 

@@ -40,8 +40,8 @@ def read_npz(source: Source) -> Rows:
         raise InputError(f"{source.file}: a plan's arrays with one row per target; its motion is in motion.csv")
     found: dict[str, np.ndarray] = {}
     used: list[str] = []
-    for what, names in KEYS.items():
-        here = [name for name in names if name in arrays]
+    for what, valid_names in KEYS.items():
+        here = [name for name in valid_names if name in arrays]
         if len(here) > 1:
             raise InputError(f"{source.file}: the arrays {' and '.join(here)} both hold {what}")
         if here:
@@ -54,8 +54,8 @@ def read_npz(source: Source) -> Rows:
     names = found.pop("names", None)
     if names is not None and (names.dtype.kind != "U" or names.ndim != 1):
         raise InputError(f"{source.file}: joint_names must be a list of texts")
-    listed_names = None if names is None else tuple(map(str, names.tolist()))
-    return _rows(source, found, listed_names, [f"Arrays that are not used: {listed(unused)}."] if unused else [])
+    own = None if names is None else tuple(map(str, names.tolist()))
+    return _rows(source, found, own, [f"Arrays that are not used: {listed(unused)}."] if unused else [])
 
 
 def _rows(source: Source, found: Mapping[str, np.ndarray], names: tuple[str, ...] | None, notes: list[str]) -> Rows:
