@@ -59,6 +59,7 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "spec": "each thing that people write has a type, and its keys have choices",
     "clearance.obstacles": "each kind of obstacle has a type and a function that makes it",
     "trajectory": "programs, their figures and the timing of plans and runs",
+    "proving": "curves of a motion, and proofs of arrays, of files and of our programs",
     "viewer": "pictures, movies and replays of plans, of runs and of programs",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",

@@ -133,7 +133,10 @@ def test_programs_contain_the_joints_that_their_controllers_take(made, tmp_path)
     assert f"joint_names: [{names[1:]}]" in program(made, tmp_path, "ros")
     both = json.loads(program(made, tmp_path, "ros-json", "--set", "program.axes=all"))["message"]
     assert both["joint_names"] == ["j1", "j2", "j3", "j4", "j4b", "rod"]
-    for point in both["points"]:
+    words = ["--set", "program.axes=all", "--max-points", "60"]
+    few = json.loads(program(made, tmp_path, "ros-json", *words))["message"]
+    assert 50 <= len(few["points"]) <= 60 < len(both["points"])
+    for point in [*both["points"], *few["points"]]:
         np.testing.assert_allclose(point["positions"][4], 0.1 + 0.5 * point["positions"][3], atol=1e-12)
         np.testing.assert_allclose(point["velocities"][4:], [0.5 * point["velocities"][3], point["velocities"][1]])
     for key in ET.fromstring(program(made, tmp_path, "keyframes")).iter("key"):  # the file's order

@@ -83,6 +83,7 @@ def in_main(*lines: str, data: str = "") -> str:
         (f"MoveAbsJ [[1,2,3,4,5],[{NOT}]],v5,fine,tool0;", "line 5: the joint target"),
         ("MoveAbsJ home,v5,z7,tool0;", "line 5: the zone z7 cannot be read; valid: fine, z0, z1"),
         ("MoveAbsJ home,v5\\T:=x,z5,tool0;", "line 5: \\T:=x cannot be read"),
+        ("MoveAbsJ home,v5,z5\\Z:=1e999,tool0;", "line 5: \\Z:=1e999 cannot be read"),
         ("MoveAbsJ home,v5;", "line 5: MoveAbsJ needs"),
         ("MoveAbsJ [[0,0,0,0,0,0],[5,9E9,9E9,9E9,9E9,9E9]],v5,z5,tool0;", "line 5: 1 external axes are connected"),
         ("home.robax.rax_1:=7;\nMoveAbsJ home,v5,fine,tool0;", "line 6: the joint target home cannot be read"),
@@ -146,7 +147,7 @@ def weld():
   set_standard_digital_out(0, True)
   textmsg("movel(#")
   global home = [0, -1.57, 1.57, 0, 1.57, 0]
-  bend = 0.25
+  bend = 0.5/2 + 1*0
   movej(home, a=1.4, v=1.05)
   movej([d2r(90), bend, -.5, 1e-1, 0,
          0], 1.4, 1.05, 0, 0.05)
@@ -189,6 +190,9 @@ def test_a_script_without_a_function_is_read_with_its_times(tmp_path):
         ("movej(p[0,0,0,0,0,0])", "line 2: movej to p[0,0,0,0,0,0] cannot be read"),
         ("movej(get_inverse_kin(p[0,0,0,0,0,0]))", "line 2: movej to get_inverse_kin"),
         ("movej(somewhere)", "line 2: movej to somewhere cannot be read"),
+        ("movej([0,1/2,0,0,0,0])", "line 2: movej to [0,1/2,0,0,0,0] cannot be read"),
+        ("a = 1\nmovej([0,a/2,0,0,0,0])", "line 3: movej to [0,a/2,0,0,0,0] cannot be read"),
+        ("movej([0,0,0,0,0,0], r=1e999)", "line 2: r=1e999 cannot be read"),
         ("movej([0,0,0,0,0,nan])", "line 2: movej to [0,0,0,0,0,nan] cannot be read"),
         ("movej([0,0,0,0,0])", "line 2: 5 values; gp50 has 6 joints: joint1"),
         ("movej([0,0,0,0,0,0], speed=1)", "line 2: movej has an argument 'speed=1'"),

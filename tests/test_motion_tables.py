@@ -250,7 +250,7 @@ def test_a_trajectory_is_found_in_the_messages_that_contain_it(wrap, name, tmp_p
 
 
 def test_a_message_of_ros_1_an_echo_with_its_end_and_numbers_of_seconds_are_read(tmp_path):
-    for time in ({"secs": 1, "nsecs": 250_000_000}, 1.25):
+    for time in ({"secs": 1, "nsecs": 250_000_000}, {"sec": 1, "nanosec": 250_000_000}, 1.25):
         text = as_yaml(points({"time_from_start": time})) + "---\n"
         assert read_text(tmp_path, "a.yaml", text).time_s.tolist() == [1.25]
 
@@ -287,6 +287,8 @@ def test_joints_are_sorted_and_what_is_not_used_is_named(tmp_path):
             points({}, {"time_from_start": {"sec": 0, "nanosec": 500_000_000}}),
             ", point 2: the time is 0.5 s after 0.5 s",
         ),
+        (points({"time_from_start": {"sec": 1, "nsecs": 0}}), ", point 1: time_from_start must be"),
+        (points({"time_from_start": {"sec": 1.5, "nanosec": 0}}), ", point 1: time_from_start must be"),
         (points({"time_from_start": "soon"}), ", point 1: time_from_start must be"),
         (points({"time_from_start": None} | RATES[0]), ", point 1: velocities without time_from_start"),
         (points({}, names=[*J[:5], "elbow"]), ": the file lacks joint6, and the robot lacks elbow; " + BOTH),

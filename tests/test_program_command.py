@@ -22,6 +22,7 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.status import Kind
 from htcp_jax.system.output_files import write_json
 from htcp_jax.trajectory import FORMATS, limits_overrides
+from htcp_jax.trajectory.formats import as_jbi
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.plan_program import program_of
 from htcp_jax.validation import check_timed
@@ -521,6 +522,22 @@ def test_a_script_longer_than_those_that_are_known_to_start_is_a_note(plans, her
     assert "note: the file has" in err and "1,000 (reported of a UR10)" in err and err.count("\n") == 1
     assert run(plans, "--format", "urscript", "--max-points", "50", "--out", "weld.script") == 0
     assert "note" not in capsys.readouterr().err
+
+
+def test_a_program_of_several_files_is_written_next_to_its_main_file_and_its_parts_are_listed(
+    plans, here, capsys, monkeypatch
+):
+    monkeypatch.setattr(as_jbi, "MOST_LINES", 40)
+    words = ["--format", "jbi-pulses", "--set", PULSES, "--out", "weld.jbi"]
+    assert run(plans, *words, "--json") == 0
+    output = capsys.readouterr()
+    files = json.loads(output.out)["files"]
+    assert [each["file"] for each in files] == ["weld.jbi", *(f"weld-{k}.jbi" for k in range(1, len(files)))]
+    assert sum(each["configurations"] for each in files) == json.loads(output.out)["configurations"]
+    assert sorted(each["file"] for each in files) == sorted(path.name for path in here.iterdir())
+    assert f"it calls {len(files) - 1} parts" in output.err and output.err.count("\n") == 1
+    assert run(plans, *words) == 0
+    assert "weld-1.jbi" in (said := capsys.readouterr().out) and "configurations 0 to " in said
 
 
 WEAK = """<mujoco model="arm"><compiler angle="radian"/><worldbody>

@@ -1,5 +1,6 @@
 """`htcp program`: time a plan, and write it as a robot program for a controller."""
 
+import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,12 +20,16 @@ from htcp_jax.cli.program_file import (
     deviation_records,
     note_limits,
     part_facts,
+    proof_facts,
+    proof_record,
+    refusal,
     write_files,
 )
 from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_records
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import build
+from htcp_jax.proving import ProgramProof, prove_program
 from htcp_jax.report import Table
 from htcp_jax.runs import columns, open_plans, open_run, plan_folder, timing_file
 from htcp_jax.spec import PlanConfig
@@ -50,7 +55,7 @@ from htcp_jax.trajectory import (
 )
 from htcp_jax.validation import check_timed
 
-REFUTED, OVERLOADED = 1, 3  # exit codes
+REFUTED, OVERLOADED, UNDECIDED = 1, 3, 4  # exit codes
 STOP = "stop"  # reason for a feed drop to 0: the arm stops
 CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
@@ -124,8 +129,12 @@ def program(
     With --all, every scenario of a sweep is timed instead: cycle time, feed and limits become columns of the run, for
     htcp report and htcp gate. Scenarios that are timed already with the same feed and limits are skipped.
 
-    Exit codes: 0, 1 if --check refutes a configuration, 3 if a torque exceeds its limit (the file is written in both
-    cases), 2 on bad input or if the plan does not lead to its last target.
+    The file is then read back, as htcp prove reads it, and its motion is proven clear between the configurations, too.
+    A file whose motion collides is not written. Poses (jbi) are read back, but the motion between them is not proven.
+
+    Exit codes: 0; 1 if the file's motion collides, or if --check refutes a configuration; 3 if a torque exceeds its
+    limit; 4 if the file's motion is neither proven nor refuted; 2 on bad input or if the plan does not lead to its last
+    target. The file is written in all cases but the first of code 1 and code 2.
 
     \b
     Examples:
@@ -166,14 +175,20 @@ def program(
     deviation = deviations(made.robot, made.program, file)
     files = made.files(format, out.stem, file)
     check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
+    proof = prove_program(made, format, files)
+    if proof.is_refuted:
+        print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
+        return REFUTED
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
     paths = write_files(out, files)
-    note_limits(format, len(file.timed.x))
+    note_limits(format, len(file.timed.x), len(files) - 1)
     checked = _check_motion(run, made, scenario, file if is_chosen else None) if check else {}
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    written = _Written(found, manipulability, torque, checked, paths)
+    written = _Written(found, manipulability, torque, checked, paths, proof)
+    if proof.is_undecided:
+        warnings.warn(f"{refusal(proof)}: undecided", stacklevel=1)
     if as_json:
         tolerance = {"path_tolerance_mm": 1e3 * made.job.settings.tube_m, "deviations": deviation_records(deviation)}
         _print_record(written, {"configurations": len(file.timed.x), **tolerance})
@@ -181,7 +196,9 @@ def program(
         _print_written(f"{made.robot.name}: {format}", written, deviation_facts(made, format, file, deviation))
     if checked.get("refuted"):
         return REFUTED
-    return OVERLOADED if overloaded and not allow_effort else 0
+    if overloaded and not allow_effort:
+        return OVERLOADED
+    return UNDECIDED if proof.is_undecided else 0
 
 
 class _Written(NamedTuple):
@@ -192,24 +209,29 @@ class _Written(NamedTuple):
     torque: PeakTorque | None
     checked: dict[str, int | float]  # result of --check; empty without it
     paths: dict[Path, range]  # the files, the main one first, with the rows of their configurations
+    proof: ProgramProof
 
 
 def _print_record(written: _Written, deviation: dict) -> None:
     """Print a program's figures, its largest torque, its file's deviation, the result of --check and files as JSON."""
-    found, manipulability, torque, checked, paths = written
+    found, manipulability, torque, checked, paths, proof = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
     record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
     parts = [{"file": str(path), "first": rows.start, "configurations": len(rows)} for path, rows in paths.items()]
-    print_json({**record, **deviation, "check": checked or None, "file": str(next(iter(paths))), "files": parts})
+    record |= deviation | {"proof": proof_record(proof)}
+    print_json({**record, "check": checked or None, "file": str(next(iter(paths))), "files": parts})
 
 
 def _print_written(title: str, written: _Written, deviation: dict[str, str]) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
-    found, manipulability, torque, checked, paths = written
+    found, manipulability, torque, checked, paths, proof = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
     files = {"file": str(next(iter(paths))), **part_facts(paths)}
-    print_facts(title, {**_program_facts(found), "torque": _torque(torque), **deviation, **by_mujoco, **files})
+    print_facts(
+        title,
+        {**_program_facts(found), "torque": _torque(torque), **deviation, **proof_facts(proof), **by_mujoco, **files},
+    )
     if not found.drops:
         return
     stdout().print()

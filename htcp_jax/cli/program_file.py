@@ -2,8 +2,12 @@
 
 import warnings
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from htcp_jax.errors import InputError, Note
+from htcp_jax.proving import ProgramProof
 from htcp_jax.system import output_files
 from htcp_jax.trajectory import (
     Deviation,
@@ -103,9 +107,51 @@ def part_facts(written: dict[Path, range]) -> dict[str, str]:
     }
 
 
-def note_limits(format: str, configurations: int) -> None:
-    """Warn in one line if a file exceeds publicly known limits of controllers or drivers that read its format."""
+def note_limits(format: str, configurations: int, parts: int) -> None:
+    """Warn in one line if a program is split, or exceeds publicly known limits of what reads its format."""
+    if parts:
+        what = f"the program has {configurations:,} configurations, more than one file of {format} may have"
+        warnings.warn(f"{what}: it calls {parts} parts, which are files next to it", Note, stacklevel=1)
     if known := exceeded_limits(format, configurations):
         limits = ", ".join(f"{each.most:,} ({each.whose})" for each in known)
         what = f"{configurations:,} {known[0].what}; known limits: {limits}"
         warnings.warn(f"the file has {what}; pass --max-points if your controller has one", Note, stacklevel=1)
+
+
+def refusal(proof: ProgramProof) -> str:
+    """Return where a program's file is not proven to be clear, as one line."""
+    contact, motion = proof.contact, proof.motion
+    where = f"lines {motion.line[contact.segment]} to {motion.line[contact.segment + 1]}"
+    moves = f"the motion of the file, {motion.interpolation} between its configurations"
+    if contact.clearance_m <= 0:
+        return f"{moves}, collides at {where}: {contact.body} is {_mm(-contact.clearance_m)} inside {contact.other}"
+    return f"{moves}, is not proven at {where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
+
+
+def proof_facts(proof: ProgramProof) -> dict[str, str]:
+    """Return the proof of a program's file as a row of a table of facts."""
+    if proof.proof is None:
+        return {"file's motion": "not proven: the file has poses; the motion between them is the controller's own"}
+    count, took = len(proof.proof.verdict), f"read back and proven in {proof.seconds:.1f} s"
+    if proof.is_undecided:
+        return {"file's motion": f"undecided; {took}"}
+    clear = f"guaranteed clearance {_mm(float(proof.proof.guaranteed_m))}"
+    between = f"{proof.motion.interpolation} between the configurations"
+    return {"file's motion": f"proven, {clear} on {count:,} segments, {between}; {took}"}
+
+
+def proof_record(proof: ProgramProof) -> dict[str, Any]:
+    """Return the proof of a program's file for JSON."""
+    found = proof.proof
+    guaranteed_mm = np.nan if found is None else 1e3 * float(found.guaranteed_m)
+    return {
+        "verdict": "not proven" if found is None else "undecided" if proof.is_undecided else "proven",
+        "interpolation": None if found is None else proof.motion.interpolation,
+        "segments": 0 if found is None else len(found.verdict),
+        "guaranteed_mm": guaranteed_mm if np.isfinite(guaranteed_mm) else None,
+        "seconds": proof.seconds,
+    }
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.3g} mm"

@@ -1,7 +1,8 @@
 """Readers of robots, parts and work cells.
 
-`robots` reads arms and imports vendors' models. `parts` reads workpieces with their paths. `load_cell` reads the
-bodies of a work cell from an MJCF file. `arrays` reads .npy, .npz and Parquet files, which may be untrusted.
+`robots` reads arms and imports vendors' models. `parts` reads workpieces with their paths. `load_cell` reads the bodies
+of a work cell from an MJCF file. `motions` reads joint motions and robot programs. `arrays` reads .npy, .npz and
+Parquet files, which may be untrusted.
 
 Invalid input raises an InputError with one line that names the file and the valid choices.
 """

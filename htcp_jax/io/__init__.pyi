@@ -1,4 +1,4 @@
-from . import arrays, parts, robots
+from . import arrays, motions, parts, robots
 from .cell import THIN_M, files_of_cell, load_cell, read_meshes, thickness_m
 
 __all__ = [
@@ -6,6 +6,7 @@ __all__ = [
     "arrays",
     "files_of_cell",
     "load_cell",
+    "motions",
     "parts",
     "read_meshes",
     "robots",

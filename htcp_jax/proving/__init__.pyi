@@ -1,6 +1,7 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
+from .program_proof import ProgramProof, prove_program
 from .prove import MotionProof, prove, prove_curves
 from .scene import scene_of
 from .worst import Contact, deepest_contact, deepest_contacts
@@ -10,6 +11,7 @@ __all__ = [
     "FileProof",
     "JointCurves",
     "MotionProof",
+    "ProgramProof",
     "corners",
     "deepest_contact",
     "deepest_contacts",
@@ -19,6 +21,7 @@ __all__ = [
     "prove",
     "prove_curves",
     "prove_file",
+    "prove_program",
     "scene_of",
     "straight",
 ]

@@ -18,7 +18,7 @@ from htcp_jax.model import robot as robots
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.spec import ObstacleKind, PlanConfig, TaskRowKind, numbers_of
 
-Cell = Robot | str | Path | Mapping[str, Any] | None
+Cell = Robot | PlanConfig | str | Path | Mapping[str, Any] | None
 
 
 class ProofScene(NamedTuple):
@@ -42,8 +42,8 @@ def scene_of(
     A job that states its robot or cell, but no section `workpiece`, has no part. A start is not needed.
 
     Args:
-        cell: A robot, or a job: a YAML file, the name of an example, or a mapping of a file's keys. None: the default
-            job.
+        cell: A robot, or a job: a YAML file, the name of an example, a mapping of a file's keys, or a loaded job, which
+            has a part. None: the default job.
         overrides: Changes to the job, see `htcp_jax.plan`.
         obstacles: Obstacles in addition to the job's.
         task: Task rows that replace the job's.
@@ -60,13 +60,16 @@ def scene_of(
             return ProofScene(_without_part(cell, obstacles, None, device), None, False)
         built = tuple(each for each in obstacles if isinstance(each, Obstacle))
         kinds = [each for each in obstacles if not isinstance(each, Obstacle)]
-        job, source = with_kinds(load_config(cell, overrides), kinds, task), source_of(cell)
+        is_loaded = isinstance(cell, PlanConfig)
+        job = with_kinds(cell if is_loaded else load_config(cell, overrides), kinds, task)
+        source = "the job" if is_loaded else source_of(cell)
         job = job.model_copy(update={"settings": job.settings.on(first.platform)})
         if job.start_rad == ():
             job = job.model_copy(update={"start_rad": "auto"})
         job, robot = jobs.build.with_robot(job, source)
         others = (*jobs.build.obstacles_of(job.cell, robot), *built)
-        if not job.model_fields_set & {"robot", "cell"} or "workpiece" in job.model_fields_set:
+        stated = job.model_fields_set
+        if is_loaded or "workpiece" in stated or not stated & {"robot", "cell"}:
             workpiece = jobs.build.workpiece_of(job.workpiece, robot)
             there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
             own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)

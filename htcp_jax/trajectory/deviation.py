@@ -9,7 +9,7 @@ A file contains configurations, and its player joins them:
 
 The deviation is the distance between both motions at the same time, for `straight` at the same place of the motion:
 controllers that read these files time the path between two configurations by themselves. It is measured at times at
-most EVERY_S apart, and at least in the middle of two configurations.
+most EVERY_S apart, and at least in the middle of two configurations; relative to the part if the part moves.
 """
 
 from typing import NamedTuple

@@ -108,7 +108,7 @@ class Candidates(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
     velocity: Float[np.ndarray, "n N"]  # [rad/s or m/s]
     acceleration: Float[np.ndarray, "n N"]  # [rad/s2 or m/s2]
-    jacobian: Float[np.ndarray, "n P3 N"]  # of the coordinates of P points of the arm
+    jacobian: Float[np.ndarray, "n P3 N"]  # of P points of the arm by the coordinates [m/rad or 1]
     stops: Int[np.ndarray, "k"]  # indices of the samples at which the arm is at rest: both ends, and each stop
     joined: tuple[str, ...]  # how players join them, see `deviation`
 

@@ -7,9 +7,8 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions.motion_file import INTERPOLATIONS, MotionFile
-from htcp_jax.io.motions.source import Rows, Source, listed
+from htcp_jax.io.motions.source import LARGEST, Rows, Source, listed
 
-LARGEST = 1e100  # numbers of this magnitude or more count as infinite
 COARSEST = 5e-4  # largest rounding that is assumed for numbers with few digits [rad or m]
 FLOAT = 1e-12  # rounding of 64-bit computations, relative to 1 + the value [1]
 

@@ -13,7 +13,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions.rapid_order import executed
 from htcp_jax.io.motions.rapid_statements import Statement, statements
-from htcp_jax.io.motions.source import DEG, Rows, Source, corners, elapsed, listed
+from htcp_jax.io.motions.source import DEG, LARGEST, Rows, Source, corners, elapsed, listed
 
 ZONES_MM = {"fine": 0.0, "z0": 0.3} | {f"z{k}": float(k) for k in (1, 5, 10, 15, 20, 30, 40, 50, 60, 80, 100, 150, 200)}
 CONNECTED = 9e9  # an external axis with this value is not connected
@@ -35,8 +35,8 @@ STILL = {
     "break", "speedrefresh", "corr_clear", "eoffsoff", "pdispoff", "uimsgbox",
 }  # fmt: skip
 ABOUT_ZONES = (
-    "Zones are read as radii around the TCP; the manual says that they may differ somewhat in joint motions, and that the "
-    "tool's orientation and external axes may leave the path earlier."
+    "Zones are read as radii around the TCP; the manual says that they may differ somewhat in joint motions, and that "
+    "the tool's orientation and external axes may leave the path earlier."
 )
 FROM_HERE = "The motion to the first configuration is not in the file."
 
@@ -175,7 +175,7 @@ def _zone(source: Source, line: int, text: str, known: dict[str, Any]) -> float:
         fine, radius = value[0], value[1]
         if fine is True:
             return 0.0
-        if fine is False and isinstance(radius, float):
+        if fine is False and isinstance(radius, float) and 0 <= radius < LARGEST:
             return radius
     if text.lower() in known or text.lower() not in ZONES_MM:
         source.fail(line, f"the zone {text[:40]} cannot be read; valid: {', '.join(ZONES_MM)}, or a zonedata constant")
@@ -187,7 +187,7 @@ def _switch(source: Source, line: int, switches: list[str], name: str, known: di
         key, _, text = switch.partition(":=")
         if key.strip().lower() == name:
             value = _value(text, known)
-            if not isinstance(value, float) or value < 0:
+            if not isinstance(value, float) or not 0 <= value < LARGEST:
                 source.fail(line, f"\\{switch[:40]} cannot be read; a number is needed")
             return value
     return None

@@ -22,6 +22,7 @@ TRAJECTORY = {"header", "joint_names", "points"}
 ABOUT = {"type", "about", "header", "model_id"}  # without effect on the motion
 STATES = "positions", "velocities", "accelerations"
 POINT = {*STATES, "effort", "time_from_start"}
+DURATION = ("sec", "nanosec"), ("secs", "nsecs")  # of ROS 2 and of ROS 1
 MOST_YAML = 8 * 2**20  # maximum size of YAML that is not written as one list per line [bytes]
 MOST_VALUES = 50_000_000
 LIST_LINE = re.compile(r"\s*(- )?\s*(positions|velocities|accelerations|effort): \[([^\[\]{}#\"']*)\]\s*")
@@ -240,12 +241,9 @@ def _times(source: Source, points: list[_Point], counted: str) -> np.ndarray | N
         if type(time) in (int, float):
             found.append(float(time))
             continue
-        parts = (
-            [time.get(a, time.get(b)) for a, b in (("sec", "secs"), ("nanosec", "nsecs"))]
-            if isinstance(time, dict)
-            else [None]
-        )
-        if not isinstance(time, dict) or len(time) != 2 or any(type(part) is not int for part in parts):
+        keys = next((keys for keys in DURATION if isinstance(time, dict) and time and time.keys() <= {*keys}), ())
+        parts = [time.get(key, 0) for key in keys]
+        if not parts or any(type(part) is not int for part in parts):
             place = f"{counted} {point.line}"
             source.fail_at(place, "time_from_start must be a number of seconds, {sec, nanosec} or {secs, nsecs}")
         sec, nanosec = parts

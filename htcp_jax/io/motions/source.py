@@ -13,6 +13,7 @@ from htcp_jax.model import Robot
 DEG = np.pi / 180
 ANGLES = {"rad": 1.0, "deg": DEG}
 LENGTHS = {"m": 1.0, "mm": 1e-3}
+LARGEST = 1e100  # numbers of this magnitude or more count as infinite
 MOST_LISTED = 300  # maximum number of characters of a list of names in a message
 
 

@@ -5,12 +5,14 @@ movej moves linearly in the joints, and blends within a radius around the TCP. s
 Universal Robots, module motion.
 """
 
+import ast
+import operator
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.io.motions.source import DEG, Rows, Source, corners, elapsed, listed
+from htcp_jax.io.motions.source import DEG, LARGEST, Rows, Source, corners, elapsed, listed
 
 ARGUMENTS = {  # names in order, of those that are used or skipped
     "movej": ("q", "a", "v", "t", "r"),
@@ -33,7 +35,10 @@ MOVES = {
 }  # fmt: skip
 FLOW = {"if", "elif", "else", "while", "for", "thread", "return", "break", "continue", "run", "join", "kill", "halt",
         "enter_critical", "exit_critical"}  # fmt: skip
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+OPERATIONS: dict[type, Any] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv
+}  # fmt: skip
+Value = list[float] | float | None
 NAME = r"[A-Za-z_]\w*"
 CALL = re.compile(rf"({NAME})\s*\((.*)\)", re.DOTALL)
 ASSIGNMENT = re.compile(rf"(?:global\s+|local\s+)?({NAME})\s*=(?!=)\s*(.*)", re.DOTALL)
@@ -64,7 +69,7 @@ def read_urscript(source: Source) -> Rows:
     source.check_unit("URScript", "rad")
     source.check_uncoupled("urscript")
     robot, moves, still = source.robot, [], set()
-    known: dict[str, list[float] | float | None] = {}
+    known: dict[str, Value] = {}
     for each in _executed(source):
         text = each.text
         if (called := CALL.fullmatch(text)) is not None:
@@ -170,7 +175,7 @@ def _lines(source: Source) -> list[_Line]:
     return found
 
 
-def _move(source: Source, line: int, name: str, inside: str, known: dict) -> _Move:
+def _move(source: Source, line: int, name: str, inside: str, known: dict[str, Value]) -> _Move:
     given: dict[str, str] = {}
     for k, argument in enumerate(_arguments(inside)):
         key, equals, value = argument.partition("=")
@@ -189,7 +194,7 @@ def _move(source: Source, line: int, name: str, inside: str, known: dict) -> _Mo
     numbers = {}
     for key in ("t", "r"):
         value = _value(given.get(key, "0"), known)
-        if not isinstance(value, float) or value < 0:
+        if not isinstance(value, float) or not 0 <= value < LARGEST:
             source.fail(line, f"{key}={given[key][:40]} cannot be read; a number is needed")
         numbers[key] = value
     servo = name == "servoj"
@@ -212,15 +217,50 @@ def _arguments(text: str) -> list[str]:
     return [each.strip() for each in found]
 
 
-def _value(text: str, known: dict) -> list[float] | float | None:
-    """Return a number, or a list of numbers; None for anything else."""
-    text = text.strip()
-    if text.startswith("[") and text.endswith("]"):
-        items = [_value(item, known) for item in _arguments(text[1:-1])]
-        return items if all(isinstance(item, float) for item in items) else None
-    if NUMBER.fullmatch(text):
-        return float(text)
-    if (degrees := re.fullmatch(r"d2r\s*\((.*)\)", text)) is not None:
-        inner = _value(degrees[1], known)
-        return inner * DEG if isinstance(inner, float) else None
-    return known.get(text)
+def _value(text: str, known: dict[str, Value]) -> Value:
+    """Return the value of an expression of numbers: a number, or a list of numbers; None for anything else."""
+    try:
+        return _computed(ast.parse(text.strip(), mode="eval").body, known)
+    except (SyntaxError, ValueError, RecursionError, ArithmeticError):
+        return None
+
+
+def _computed(node: ast.expr, known: dict[str, Value]) -> Value:
+    """Return the value of an expression; None if it is not one of numbers, or if its value is not certain."""
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
+        case ast.Name(id=name):
+            return known.get(name)
+        case ast.List(elts=elements):
+            items = [_computed(each, known) for each in elements]
+            return [each for each in items if isinstance(each, float)] if all(map(_is_number, items)) else None
+        case ast.UnaryOp(op=ast.UAdd() | ast.USub() as sign, operand=inner) if _is_number(_computed(inner, known)):
+            value = _computed(inner, known)
+            return -value if isinstance(sign, ast.USub) else value
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATIONS:
+            both = _computed(left, known), _computed(right, known)
+            if not all(map(_is_number, both)):
+                return None
+            if isinstance(op, ast.Div) and not (_has_point(left) or _has_point(right)):
+                return None  # of integers
+            return OPERATIONS[type(op)](*both)
+        case ast.Call(func=ast.Name(id="d2r"), args=[inner], keywords=[]) if _is_number(_computed(inner, known)):
+            return DEG * _computed(inner, known)
+    return None
+
+
+def _has_point(node: ast.expr) -> bool:
+    """Return True if a number is certainly no integer for the controller."""
+    match node:
+        case ast.Constant(value=value):
+            return isinstance(value, float)
+        case ast.UnaryOp(operand=inner):
+            return _has_point(inner)
+        case ast.BinOp(left=left, right=right):
+            return _has_point(left) or _has_point(right)
+    return isinstance(node, ast.Call)
+
+
+def _is_number(value: Value) -> bool:
+    return isinstance(value, float)

@@ -1,0 +1,105 @@
+"""Proof of the files that `htcp program` writes: they are read back by the readers of other programs, and proven."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.device import devices
+from htcp_jax.errors import InputError
+from htcp_jax.io.motions import MotionFile, controller_of, read_motion
+from htcp_jax.proving.file_proof import motion_curves
+from htcp_jax.proving.prove import MotionProof, prove_curves
+from htcp_jax.proving.scene import scene_of
+from htcp_jax.proving.worst import Contact, deepest_contact
+from htcp_jax.status import SegmentStatus
+from htcp_jax.trajectory import PlanProgram, ProgramFile
+
+
+class ProgramProof(NamedTuple):
+    """Proof of a program's files."""
+
+    motion: MotionFile  # the motion of all files, in order
+    proof: MotionProof | None  # None: the format has poses only
+    contact: Contact | None  # the deepest one on the first unproven segment; None if all is proven
+    seconds: float  # time of reading, building the scene and proving
+
+    @property
+    def is_refuted(self) -> bool:
+        """True if the motion collides."""
+        return self.proof is not None and bool(self.proof.refuted)
+
+    @property
+    def is_undecided(self) -> bool:
+        """True if the motion is neither proven nor refuted."""
+        return self.proof is not None and not self.proof.proven and not self.proof.refuted
+
+
+def prove_program(
+    made: PlanProgram, format: str, files: Sequence[ProgramFile], device: str | None = None
+) -> ProgramProof:
+    """Prove or refute that the motion in a program's files is clear, as the controller runs it.
+
+    Args:
+        made: The program.
+        format: Name of the format in `trajectory.FORMATS`.
+        files: The texts of its files.
+        device: The device; None: a GPU if there is one.
+
+    Raises:
+        InputError: If a file cannot be read back.
+    """
+    began = time.perf_counter()
+    motion = read_back(made, format, files)
+    if motion.poses is not None or len(motion.x) < 2:
+        return ProgramProof(motion, None, None, time.perf_counter() - began)
+    problem = scene_of(made.job, device=device).problem
+    with devices.on(problem.devices[0]):
+        curves = motion_curves(problem, motion)
+        proof = prove_curves(problem, curves)
+        unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
+        refuted = unproven[proof.verdict[unproven] != SegmentStatus.UNDECIDED]
+        first = (refuted if len(refuted) else unproven)[:1].tolist()
+        contact = deepest_contact(problem, curves, first[0]) if first else None
+    return ProgramProof(motion, proof, contact, time.perf_counter() - began)
+
+
+def read_back(made: PlanProgram, format: str, files: Sequence[ProgramFile]) -> MotionFile:
+    """Return the motion that the readers of programs find in a program's files.
+
+    Args:
+        made: The program.
+        format: Name of the format in `trajectory.FORMATS`.
+        files: The texts of its files; parts are read in order, and a main file that only calls them is not read.
+    """
+    controller = controller_of(made.job, made.robot, of_model=format == "keyframes")
+    parts = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, each in enumerate(each for each in files if len(each.rows)):
+            path = Path(folder, f"part{number}")
+            path.write_text(each.text)
+            parts.append(read_motion(path, made.robot, controller, format=format))
+    return joined(parts)
+
+
+def joined(parts: Sequence[MotionFile]) -> MotionFile:
+    """Return the motion of parts that are run one after the other.
+
+    Raises:
+        InputError: If a part states other things than the first one.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    if any((each.interpolation, each.format) != (first.interpolation, first.format) for each in parts):
+        raise InputError("the parts of the program differ in their format, so they cannot be read back")
+
+    def stacked(name: str):
+        found = [getattr(each, name) for each in parts]
+        return None if any(each is None for each in found) else np.concatenate(found)
+
+    names = ("x", "velocity", "acceleration", "corner_m", "line", "poses")
+    return first._replace(**{name: stacked(name) for name in names}, time_s=None, kind=None)
