@@ -197,16 +197,11 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
         + ", ".join(f"{n:,} {word}" for word, n in proof_record.counts(found).items()),
         "format": f"{motion.format}, {_motion_text(found)}",
     }
-<<<<<<< HEAD
     notes = list(motion.notes)
     if motion.interpolation == "linear" and motion.velocity is not None and found.proof is not None:
         notes.append("The file has velocities; --interpolation cubic proves the curve that keeps them.")
     if notes:
         facts["notes"] = " ".join(notes)
-=======
-    if motion.notes:
-        facts["notes"] = " ".join(motion.notes)
->>>>>>> prove
     facts["required"] = (
         f"clearance above {1e3 * found.margin_m:g} mm"
         if found.margin_m == 0
