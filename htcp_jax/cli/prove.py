@@ -205,10 +205,12 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
     facts["required"] = (
         f"clearance above {1e3 * found.margin_m:g} mm"
         if found.margin_m == 0
-        else (f"clearance of {1e3 * found.margin_m:g} mm")
+        else f"clearance of {1e3 * found.margin_m:g} mm"
     )
     if tracking.any():
-        facts["tracking"] = f"joints within {math.degrees(tracking.max()):.4g} deg of the motion"
+        sizes = zip(tracking.tolist(), found.sliding, strict=True)
+        texts = [f"{1e3 * off:.4g} mm" if slides else f"{math.degrees(off):.4g} deg" for off, slides in sizes]
+        facts["tracking"] = f"joints within {' or '.join(dict.fromkeys(texts))} of the motion"
     for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
         uses = [proof_record.limit_text(use) for use in found.limits if use.quantity == quantity_]
         facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)
@@ -231,11 +233,16 @@ def _deviation_facts(found: "FileProof") -> dict[str, str]:
 
     if (deviation := found.deviation) is None:
         return {}
-    worst = proof_record.lines_of(found, deviation.segment)
-    compared = proof_record.lines_of(found, deviation.first, deviation.last)
+    if found.proof is None:  # the numbers are those of poses
+        first, last, k = (int(found.motion.line[k]) for k in (deviation.first, deviation.last, deviation.segment))
+        worst, compared = f"line {k}", f"lines {first} to {last}"
+        places = "at the poses"
+    else:
+        worst = proof_record.lines_of(found, deviation.segment)
+        compared, places = proof_record.lines_of(found, deviation.first, deviation.last), "at sampled places"
     covered = 100 * deviation.covered_m / deviation.length_m
     facts = {
-        "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {worst}, at sampled places "
+        "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {worst}, {places} "
         f"(tolerance {1e3 * deviation.tolerance_m:g} mm)",
         "path covered": f"{covered:.1f} % of {1e3 * deviation.length_m:.4g} mm, compared on {compared}",
     }

@@ -24,7 +24,7 @@ from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import PathDeviation, path_deviation, pose_deviation, tcp_positions
-from htcp_jax.proving.prove import KEPT, MotionProof, prove_curves, tracking_of
+from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tracking_of
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -43,7 +43,8 @@ class FileProof:
     file: Path
     motion: MotionFile
     robot: str  # its name
-    joints: tuple[str, ...]  # their names
+    joints: tuple[str, ...]  # names of its N coordinates
+    sliding: tuple[bool, ...]  # True for sliding joints
     margin_m: float  # required clearance
     tracking: Float[np.ndarray, "N"]  # largest distance of each joint from the motion [rad or m]
     curves: JointCurves | None  # joint paths; None: the file has no joint values
@@ -133,7 +134,7 @@ def prove_file(
     found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
     lag = _tracking(problem.robot, tracking_rad, tracking_m)
     about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
-    about |= {"margin_m": margin_m, "tracking": lag}
+    about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag}
     with devices.on(problem.devices[0]):
         if found.poses is not None:
             deviation = pose_deviation(problem, found.poses[:, :3, 3]) if scene.has_part else None
@@ -145,9 +146,10 @@ def prove_file(
             raise InputError(f"{file} has one configuration; a motion has two or more")
         curves = motion_curves(problem, found)
         progress("paths", 0, len(curves.segment))
-        proof = prove_curves(
+        proof = prove_within(
             problem,
-            curves.within(lag),
+            curves,
+            lag,
             margin_m=margin_m,
             kept=kept,
             progress=lambda done, count: progress("paths", done, count),

@@ -36,7 +36,7 @@ class RowDeviation(NamedTuple):
 
 
 class PathDeviation(NamedTuple):
-    """Deviation of a motion from the job's path, at sampled places."""
+    """Deviation of a motion from the job's path, at sampled places; of poses, `segment` and others count poses."""
 
     first: int  # first segment that is compared with the path
     last: int  # last one

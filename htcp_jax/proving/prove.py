@@ -7,8 +7,8 @@ proof.clearance_m                            # guaranteed clearance of each segm
 ```
 
 A segment is proven if all joint paths that belong to it are clear, see `curves.JointCurves`. It is refuted if one of
-them collides that the controller takes for certain. Otherwise it is undecided: a path inside a corner, or within the
-servo's lag, may collide.
+them collides that the controller takes for certain, or would take without a servo's lag. Otherwise it is undecided: a
+path inside a corner, or within the lag, may collide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -99,7 +99,7 @@ def prove(
     curves = JointCurves(*tables.gather(tuple(curves), within))
     curves = curves._replace(segment=np.arange(len(curves.segment)))
     lag = tracking_of(tracking_rad, joints)
-    found = prove_curves(problem, curves.within(lag), margin_m=margin_m, kept=kept)
+    found = prove_within(problem, curves, lag, margin_m=margin_m, kept=kept)
     shape = (points - 1,) if x.ndim == 2 else (motions, points - 1)
     return MotionProof(
         found.verdict.reshape(shape),
@@ -123,6 +123,42 @@ def tracking_of(tracking_rad: float | Sequence[float], joints: int) -> Float[np.
     if lag.ndim > 1 or (lag.ndim and lag.shape != (joints,)) or not (lag >= 0).all() or not np.isfinite(lag).all():
         raise InputError(f"tracking_rad is {tracking_rad}; valid: one number of 0 or more, or {joints} of them")
     return np.broadcast_to(lag, joints)
+
+
+def prove_within(
+    problem: Problem,
+    curves: JointCurves,
+    lag: Float[np.ndarray, "N"],
+    *,
+    margin_m: float = 0.0,
+    kept: float = KEPT,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> MotionProof:
+    """Prove or refute joint paths from which each joint may be away by a servo's lag.
+
+    A segment that is undecided with the lag, but refuted without it, is refuted.
+
+    Args:
+        problem: The problem, see `scene_of`.
+        curves: The joint paths, without the lag.
+        lag: Largest distance of each joint from the paths [rad or m].
+        margin_m: Required clearance [m].
+        kept: See `prove`.
+        progress: See `prove_curves`.
+    """
+    found = prove_curves(problem, curves.within(lag), margin_m=margin_m, kept=kept, progress=progress)
+    undecided = np.flatnonzero(found.verdict == SegmentStatus.UNDECIDED)
+    if not lag.any() or not len(undecided):
+        return found
+    chosen = np.isin(curves.segment, undecided)
+    alone = JointCurves(*(part[chosen] for part in curves))
+    alone = alone._replace(segment=np.searchsorted(undecided, alone.segment))
+    exact = prove_curves(problem, alone, margin_m=margin_m, kept=kept)
+    refuted = ~np.isin(exact.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
+    verdict, place, queries = found.verdict.copy(), found.place.copy(), found.queries.copy()
+    verdict[undecided[refuted]], place[undecided[refuted]] = exact.verdict[refuted], exact.place[refuted]
+    queries[undecided] += exact.queries
+    return MotionProof(verdict, found.clearance_m, place, queries)
 
 
 def prove_curves(

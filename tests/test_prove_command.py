@@ -1,0 +1,221 @@
+"""`htcp prove` on the toy arm at its shelf: verdicts, limits, the path, files, and bad input.
+
+All commands prove the same scene, so that its functions are compiled once.
+"""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import toy
+
+from htcp_jax import prove_file
+from htcp_jax.cli import main
+from htcp_jax.runs import columns
+from htcp_jax.status import SegmentStatus
+
+JOINTS = "j1", "j2", "j3", "j4"
+START = np.array(toy.START)
+TURN = np.array([1.0, 0.0, 0.0, 0.0])  # of the first joint: the arm stays clear of the shelf in front of it
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    """The job of the toy arm, the shelf and its path."""
+    return toy.write_job(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    """Configurations of a plan before the path and on it; none of the joint paths between them collides."""
+    return toy.plans_by().x[0, 1:14]
+
+
+def table(file, x, time_s=None, velocity=None, kind=None):
+    """Write a table with a column per joint, and return the file."""
+    head, parts = list(JOINTS), [np.asarray(x)]
+    if time_s is not None:
+        head, parts = ["time_s", *head], [np.asarray(time_s)[:, None], *parts]
+    if velocity is not None:
+        head, parts = [*head, *(f"{name}_velocity" for name in JOINTS)], [*parts, velocity]
+    rows = [[repr(float(value)) for value in row] for row in np.concatenate(parts, axis=1)]
+    if kind is not None:
+        head, rows = [*head, "kind"], [[*row, word] for row, word in zip(rows, kind, strict=True)]
+    file.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    return file
+
+
+@pytest.fixture
+def proven(job, tmp_path, capsys):
+    """Function that proves a file and returns the exit code, the written JSON, and what is printed."""
+
+    def run(file, *words):
+        code = main(["prove", str(file), "--job", str(job), "--out", str(tmp_path / "out"), *map(str, words)])
+        return code, json.loads((tmp_path / "out" / "proof.json").read_text()), capsys.readouterr().out
+
+    return run
+
+
+def into_the_shelf(tracked):
+    """The plan's first configurations and one that raises the forearm into the shelf."""
+    return np.concatenate([tracked[:4], tracked[3:4] - [0.0, 0.0, 0.35, 0.0], tracked[3:4]])
+
+
+def test_a_clear_motion_is_proven_with_a_clearance_that_a_thousand_samples_keep(proven, tmp_path):
+    x = START + np.outer([0.0, 0.4, 0.8, 0.3], TURN)
+    code, record, printed = proven(table(tmp_path / "clear.csv", x))
+    assert code == 0 and record["verdict"] == "proven" and not record["unproven"]
+    assert printed.startswith("proven: guaranteed clearance ")
+    samples = np.concatenate([np.linspace(a, b, 334) for a, b in zip(x[:-1], x[1:], strict=True)])
+    least = toy.measured(toy.scenario(), samples)[0].min()
+    assert 0 < record["clearance_m"] <= least
+
+
+def test_a_collision_is_refuted_with_its_line_body_obstacle_and_depth(proven, tracked, tmp_path):
+    code, record, printed = proven(table(tmp_path / "hit.csv", into_the_shelf(tracked)))
+    assert code == 1 and record["verdict"] == "refuted"
+    assert printed.startswith("refuted: lines ") and "inside the workpiece" in printed
+    deepest = max(record["unproven"], key=lambda row: row["depth_m"])
+    a, b = (into_the_shelf(tracked)[deepest["line_begin"] - 2 + k] for k in (0, 1))
+    clearance = toy.measured(toy.scenario(), (a + deepest["deepest_share"] * (b - a))[None])[0][0]
+    assert deepest["verdict"] == "IN_COLLISION" and deepest["other"] == "the workpiece"
+    assert deepest["body"].removeprefix("capsule ") in ("forearm", "tool")
+    assert -deepest["depth_m"] == pytest.approx(clearance, abs=1e-6)
+    assert f"{1e3 * deepest['depth_m']:.3g} mm inside" in printed
+
+
+def test_the_required_clearance_refutes_a_motion_that_is_nearer(proven, tmp_path):
+    file = table(tmp_path / "clear.csv", START + np.outer([0.0, 0.4], TURN))
+    clear = proven(file)[1]["clearance_m"]
+    assert proven(file, "--margin", f"{0.5e3 * clear}mm")[0] == 0
+    code, record, printed = proven(file, "--margin", "1m")
+    assert code == 1 and record["unproven"][0]["verdict"] == "BELOW_MARGIN"
+    assert "less than the margin of 1e+03 mm" in printed
+
+
+def test_a_motion_that_only_its_tracking_error_may_lead_into_the_shelf_is_undecided(proven, tracked, tmp_path):
+    file = table(tmp_path / "near.csv", tracked[:6])
+    assert proven(file)[0] == 0
+    code, record, printed = proven(file, "--tracking", "20deg")
+    assert code == 4 and record["verdict"] == "undecided" and printed.startswith("undecided: lines ")
+    assert {row["verdict"] for row in record["unproven"]} == {"UNDECIDED"}
+    assert record["tracking"] == pytest.approx([np.radians(20)] * 4)
+
+
+def test_a_collision_is_refuted_with_any_tracking_error(proven, tracked, tmp_path):
+    assert proven(table(tmp_path / "hit.csv", into_the_shelf(tracked)), "--tracking", "1deg")[0] == 1
+
+
+def test_a_cubic_motion_is_proven_between_its_configurations(proven, tmp_path):
+    """Velocities at both ends lead the motion away from the straight joint path, beyond the joint limit."""
+    x, time_s = START + np.outer([2.5, 2.9], TURN), [0.0, 1.0]
+    straight = proven(table(tmp_path / "straight.csv", x, time_s))
+    assert straight[0] == 0 and straight[1]["interpolation"] == "linear"
+    velocity = np.outer([0.0, -1.5], TURN)
+    code, record, printed = proven(table(tmp_path / "c.csv", x, time_s, velocity), "--interpolation", "cubic")
+    assert record["verdict"] == "proven" and record["interpolation"] == "cubic"
+    assert code == 1 and record["limits_violated"] and "limit violated: position of j1" in printed
+    uses = {use["quantity"]: use for use in record["limits"]}
+    s = np.linspace(0, 1, 100_001)
+    curve = np.polynomial.Polynomial([2.5, 0.0, 3 * 0.4 + 1.5, -1.5 - 2 * 0.4])
+    assert 0 <= uses["position"]["largest"] - curve(s).max() < 2e-3 and uses["position"]["is_violated"]
+    for rate, quantity in enumerate(("velocity", "acceleration", "jerk"), start=1):
+        most = np.abs(curve.deriv(rate)(s)).max()
+        assert most - 1e-9 <= uses[quantity]["largest"] <= 1.01 * most and uses[quantity]["limit"] is None
+
+
+def test_the_speed_is_compared_with_the_job_s_limits(proven, tmp_path):
+    file = table(tmp_path / "fast.csv", START + np.outer([0.0, 0.4], TURN), [0.0, 0.2])
+    limits = "--set", "program.velocity=[1.6, 3, 3, 3]"
+    code, record, printed = proven(file, *limits)
+    (use,) = (use for use in record["limits"] if use["quantity"] == "velocity")
+    assert code == 1 and use["is_violated"] and use["share"] == pytest.approx(2.0 / 1.6) and use["joint"] == "j1"
+    assert "125 % of the limit" in printed
+
+
+def test_the_distance_from_the_job_s_path_is_measured_where_the_motion_is_on_it(proven, tracked, tmp_path):
+    kind = ["approach"] * 5 + ["process"] * (len(tracked) - 5)
+    record = proven(table(tmp_path / "weld.csv", tracked, kind=kind))[1]
+    found, rows = record["deviation"], np.linspace(tracked[4:-1], tracked[5:], 10).reshape(-1, 4)
+    a, b = toy.workpiece().path[:-1], toy.workpiece().path[1:]
+    path = (a[:, None] + np.linspace(0, 1, 400)[None, :, None] * (b - a)[:, None]).reshape(-1, 3)
+    apart = np.linalg.norm(toy.measured(toy.scenario(), rows)[1][:, None] - path, axis=2).min(axis=1)
+    assert found["distance_m"] == pytest.approx(apart.max(), abs=1e-5)
+    assert found["distance_m"] == pytest.approx(found["rows"][0]["error"], abs=1e-9)
+    assert 0.5 < found["covered_m"] / found["length_m"] <= 1.0 + 1e-9
+
+
+def test_the_table_of_segments_equals_the_json_and_describes_its_columns(proven, tracked, tmp_path):
+    record = proven(table(tmp_path / "hit.csv", into_the_shelf(tracked)))[1]
+    rows = pq.read_table(tmp_path / "out" / "segments.parquet")
+    assert [row for row in rows.to_pylist() if row["verdict"] != "VALID"] == record["unproven"]
+    assert len(rows) == record["segments"] == sum(record["segments_by_verdict"].values())
+    assert sum(rows["queries"].to_pylist()) == record["queries"]
+    assert set(rows.column_names) == set(columns.SEGMENTS)
+    about = {field.name: field.metadata[b"description"].decode() for field in rows.schema}
+    assert about == {name: columns.SEGMENTS[name] for name in rows.column_names}
+    assert (tmp_path / "out" / "proof.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_on_the_terminal_is_the_file_s(proven, tmp_path):
+    _, record, printed = proven(table(tmp_path / "clear.csv", START + np.outer([0.0, 0.4], TURN)), "--json")
+    assert json.loads(printed) == record
+
+
+def test_the_function_returns_what_the_command_writes(job, proven, tracked, tmp_path):
+    file = table(tmp_path / "hit.csv", into_the_shelf(tracked))
+    found, record = prove_file(file, job), proven(file)[1]
+    assert [found.contacts[row["segment"]].body for row in record["unproven"]] == [
+        r["body"] for r in record["unproven"]
+    ]
+    assert found.proof.verdict.tolist() == [
+        SegmentStatus[name].value
+        for name in pq.read_table(tmp_path / "out" / "segments.parquet")["verdict"].to_pylist()
+    ]
+
+
+def test_poses_are_compared_with_the_path_and_not_proven(proven, tmp_path):
+    """The TCP's positions at the path's points; what the controller does between them is unknown."""
+    lines = [f"C{k:05d}={','.join(f'{value:.3f}' for value in (*1e3 * point, 180.0, 0.0, 0.0))}"
+             for k, point in enumerate(toy.workpiece().path)]  # fmt: skip
+    moves = [f"MOVL C{k:05d} V=10.0" for k in range(len(lines))]
+    head = ["/JOB", "//NAME WELD", "//POS", f"///NPOS {len(lines)},0,0,0,0,0", "///TOOL 0", "///POSTYPE ROBOT"]
+    head += ["///RECTAN", "///RCONF 0,0,0,0,0,0,0,0"]
+    (tmp_path / "weld.jbi").write_text("\n".join([*head, *lines, "//INST", "NOP", *moves, "END", ""]))
+    code, record, printed = proven(tmp_path / "weld.jbi")
+    assert code == 4 and record["verdict"] == "not proven" and "the controller's own" in printed
+    assert record["deviation"]["distance_m"] < 1e-5
+    assert record["deviation"]["covered_m"] == pytest.approx(record["deviation"]["length_m"], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "says"),
+    [
+        ("j1,j2,j3\n0,0,0\n", (), "the file lacks j4"),
+        ("j1,j2,j3,j4,j5\n0,0,0,0,0\n", (), "the robot lacks j5"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n", (), "one configuration"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,nan,1.7,0.5\n", (), "line 3"),
+        ("time_s,j1,j2,j3,j4\n1,0,0,1.7,0.5\n0.5,0,0,1.7,0.5\n", (), "times must increase"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--interpolation", "cubic"), "needs times and velocities"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--interpolation", "spline"), "valid: linear, cubic, quintic"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--format", "word"), "valid: csv"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--unit", "grad"), "valid: rad, deg"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--margin", "1"), "--margin 1: it must be a number of 0 or more"),
+        ("j1,j2,j3,j4\n0,0,1.7,0.5\n0,0,1.6,0.5\n", ("--tracking", "-1deg"), "units: deg, rad"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(job, tmp_path, capsys, text, words, says):
+    (tmp_path / "bad.csv").write_text(text)
+    out = tmp_path / "out"
+    assert main(["prove", str(tmp_path / "bad.csv"), "--job", str(job), "--out", str(out), *words]) == 2
+    printed = capsys.readouterr()
+    assert says in printed.err and printed.err.count("\n") == 1 and not printed.out
+    assert not out.exists()
+
+
+def test_a_missing_file_and_a_missing_job_are_named(tmp_path, capsys):
+    assert main(["prove", str(tmp_path / "none.csv"), "--job", str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml" in capsys.readouterr().err
+    assert main(["prove", str(tmp_path / "none.csv")]) == 2
+    assert "--job" in capsys.readouterr().err
