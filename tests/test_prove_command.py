@@ -236,3 +236,18 @@ def test_a_missing_file_and_a_missing_job_are_named(tmp_path, capsys):
     assert "none.yaml" in capsys.readouterr().err
     assert main(["prove", str(tmp_path / "none.csv")]) == 2
     assert "--job" in capsys.readouterr().err
+
+
+def test_a_job_without_a_part_names_the_fixture_and_is_played(tmp_path, capsys):
+    """A box in front of the arm, and a motion that turns into it."""
+    (tmp_path / "arm.xml").write_text(toy.ARM)
+    box = '<body name="box" pos="0 0.5 0.55"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+    job = tmp_path / "job.yaml"
+    job.write_text("robot: {model: arm.xml}\ncell: {model: cell.xml}\n")
+    file = table(tmp_path / "turn.csv", [[0, 0.8, 0.7, 0.0], [1.0, 0.8, 0.7, 0.0], [1.6, 0.8, 0.7, 0.0]])
+    assert main(["prove", str(file), "--job", str(job), "--out", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr().out
+    assert "inside the fixture 'box'" in printed.splitlines()[0] and "path" not in printed
+    replay = replays_of_file(prove_file(file, job)).replay(0, "file")
+    assert len(replay.x) == 3 and replay.clearance[2] < 0 < replay.clearance[0]

@@ -81,10 +81,11 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
+    text = ""
     if job is not None:
         if what is None or feed_m_s or method is not None or scenario is not None:
             raise InputError("--job plays a FILE; --feed, --method and --scenario do not apply to it")
-        replays, programs = _replays_of_file(what, job, seeded(overrides or (), seed)), None
+        (replays, text), programs = _replays_of_file(what, job, seeded(overrides or (), seed)), None
     else:
         replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
     from htcp_jax.viewer import Viewer  # here, as viser is an optional dependency
@@ -93,6 +94,8 @@ def view(
     try:
         with stop_message(lambda: CLOSED):
             stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
+            if text:
+                stdout().print(text)
             viewer.wait()
     except KeyboardInterrupt:
         raise Interrupted(CLOSED, signal.SIGINT) from None
@@ -101,16 +104,15 @@ def view(
     return 0
 
 
-def _replays_of_file(file: Path, job: Path, overrides: Sequence[str]) -> Replays:
-    """Prove a file's motion, print the verdict, and return its replays."""
+def _replays_of_file(file: Path, job: Path, overrides: Sequence[str]) -> tuple[Replays, str]:
+    """Prove a file's motion, and return its replays and the verdict as one line."""
     from htcp_jax.proving import proof_record, prove_file
     from htcp_jax.viewer import replays_of_file
 
     with progress_bar("paths", first="reading the file and building the scene") as progress:
         found = prove_file(file, job, overrides=overrides, progress=lambda what, done, count: progress(done, count))
         replays = replays_of_file(found)
-    stdout().print(proof_record.headline(found))
-    return replays
+    return replays, proof_record.headline(found)
 
 
 def _replays_and_programs(

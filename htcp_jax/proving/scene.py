@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax import jobs
@@ -84,7 +85,7 @@ def _without_part(
 ) -> Problem:
     """Return a problem with a part of no walls; its path is one point, at the TCP in the middle of the joint limits."""
     middle = np.clip(0.5 * (np.maximum(robot.lower, -10.0) + np.minimum(robot.upper, 10.0)), robot.lower, robot.upper)
-    tcp = np.asarray(kinematics.tcp_position(robot, middle))
+    tcp = np.asarray(kinematics.tcp_position(robot, jnp.asarray(middle)))
     workpiece = load_workpiece(
         NoCloud(), tcp[None], pivot=np.zeros(3), neutral_translation=np.zeros(3), origin=(0.0, 0.0, 0.0)
     )

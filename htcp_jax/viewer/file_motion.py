@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.parts import NoCloud, load_workpiece
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, start_cause
@@ -36,13 +38,13 @@ def replays_of_file(found: FileProof) -> Replays:
         found: The proof of the file.
 
     Raises:
-        InputError: If the file has only poses, or the job has no part.
+        InputError: If the file has only poses, or if it was proven for a robot without a job.
     """
     scene, motion = found.scene, found.motion
     if found.proof is None or found.curves is None:
         raise InputError(f"{found.file} has poses only; a file with joint values can be played")
-    if scene.job is None or not scene.has_part:
-        raise InputError(f"{found.file} cannot be played, as the job has no section workpiece")
+    if scene.job is None:
+        raise InputError(f"{found.file} can be played in the cell of a job, not for a robot alone")
     between = 0 if motion.interpolation == "linear" else BETWEEN
     x, verdict, bound = [motion.x[:1]], [int(SegmentStatus.VALID)], [np.nan]
     for k, status in enumerate(found.proof.verdict.tolist()):
@@ -69,4 +71,11 @@ def replays_of_file(found: FileProof) -> Replays:
     }.items():
         getattr(plans, name)[0] = values
     job = scene.job.model_copy(update={"method": METHOD, "start_rad": "auto"})  # without targets before the path
-    return replays_of(found.file.name, _PlayedFile(job, problem.robot, problem.workpiece, scenario, plans))
+    part = problem.workpiece if scene.has_part else _dots(tcp)
+    return replays_of(found.file.name, _PlayedFile(job, problem.robot, part, scenario, plans))
+
+
+def _dots(points: Float[np.ndarray, "n 3"]) -> Workpiece:
+    """Return a workpiece of no walls whose path consists of points, world [m]."""
+    home = {"pivot": np.zeros(3), "neutral_translation": np.zeros(3), "origin": (0.0, 0.0, 0.0)}
+    return load_workpiece(NoCloud(), points, **home)
