@@ -67,7 +67,7 @@ def test_a_clear_motion_is_proven_with_a_clearance_that_a_thousand_samples_keep(
     code, record, printed = proven(table(tmp_path / "clear.csv", x))
     assert code == 0 and record["verdict"] == "proven" and not record["unproven"]
     assert printed.startswith("proven: guaranteed clearance ")
-    samples = np.concatenate([np.linspace(a, b, 334) for a, b in zip(x[:-1], x[1:], strict=True)])
+    samples = np.concatenate([np.linspace(a, b, 334) for a, b in pairwise(x)])
     least = toy.measured(toy.scenario(), samples)[0].min()
     assert 0 < record["clearance_m"] <= least
 

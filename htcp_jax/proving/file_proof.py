@@ -24,7 +24,7 @@ from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import PathDeviation, path_deviation, pose_deviation, tcp_positions
-from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tracking_of
+from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tighten, tracking_of
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -154,6 +154,7 @@ def prove_file(
             kept=kept,
             progress=lambda done, count: progress("paths", done, count),
         )
+        proof = tighten(problem, curves.within(lag), proof, margin_m=margin_m, kept=kept)
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]

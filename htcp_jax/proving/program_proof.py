@@ -12,7 +12,7 @@ from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions import MotionFile, controller_of, read_motion
 from htcp_jax.proving.file_proof import motion_curves
-from htcp_jax.proving.prove import MotionProof, prove_curves
+from htcp_jax.proving.prove import MotionProof, prove_curves, tighten
 from htcp_jax.proving.scene import scene_of
 from htcp_jax.proving.worst import Contact, deepest_contact
 from htcp_jax.status import SegmentStatus
@@ -59,7 +59,7 @@ def prove_program(
     problem = scene_of(made.job, device=device).problem
     with devices.on(problem.devices[0]):
         curves = motion_curves(problem, motion)
-        proof = prove_curves(problem, curves)
+        proof = tighten(problem, curves, prove_curves(problem, curves))
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         refuted = unproven[proof.verdict[unproven] != SegmentStatus.UNDECIDED]
         first = (refuted if len(refuted) else unproven)[:1].tolist()
