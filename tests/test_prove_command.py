@@ -4,6 +4,7 @@ All commands prove the same scene, so that its functions are compiled once.
 """
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pyarrow.parquet as pq
