@@ -4,12 +4,12 @@ All commands prove the same scene, so that its functions are compiled once.
 """
 
 import json
-from itertools import pairwise
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import toy
+from test_json_schemas import fits
 
 from htcp_jax import prove_file
 from htcp_jax.cli import main
@@ -53,7 +53,10 @@ def proven(job, tmp_path, capsys):
 
     def run(file, *words):
         code = main(["prove", str(file), "--job", str(job), "--out", str(tmp_path / "out"), *map(str, words)])
-        return code, json.loads((tmp_path / "out" / "proof.json").read_text()), capsys.readouterr().out
+        record = json.loads((tmp_path / "out" / "proof.json").read_text())
+        fits("proof", record)
+        assert record["exit_code"] == code
+        return code, record, capsys.readouterr().out
 
     return run
 
@@ -68,7 +71,7 @@ def test_a_clear_motion_is_proven_with_a_clearance_that_a_thousand_samples_keep(
     code, record, printed = proven(table(tmp_path / "clear.csv", x))
     assert code == 0 and record["verdict"] == "proven" and not record["unproven"]
     assert printed.startswith("proven: guaranteed clearance ")
-    samples = np.concatenate([np.linspace(a, b, 334) for a, b in pairwise(x)])
+    samples = np.linspace(x[:-1], x[1:], 334).reshape(-1, 4)
     least = toy.measured(toy.scenario(), samples)[0].min()
     assert 0 < record["clearance_m"] <= least
 

@@ -232,7 +232,9 @@ def _deviation_facts(found: "FileProof") -> dict[str, str]:
     from htcp_jax.proving import proof_record
 
     if (deviation := found.deviation) is None:
-        return {}
+        if found.near_m is None:
+            return {}
+        return {"path": f"not compared: no configuration is within {1e3 * found.near_m:g} mm of the job's path"}
     if found.proof is None:  # the numbers are those of poses
         first, last, k = (int(found.motion.line[k]) for k in (deviation.first, deviation.last, deviation.segment))
         worst, compared = f"line {k}", f"lines {first} to {last}"

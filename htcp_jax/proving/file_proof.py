@@ -23,7 +23,14 @@ from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
-from htcp_jax.proving.path_deviation import PathDeviation, path_deviation, pose_deviation, tcp_positions
+from htcp_jax.proving.path_deviation import (
+    PathDeviation,
+    has_path,
+    near_path_m,
+    path_deviation,
+    pose_deviation,
+    tcp_positions,
+)
 from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tighten, tracking_of
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
 from htcp_jax.proving.worst import Contact, deepest_contacts
@@ -52,6 +59,7 @@ class FileProof:
     contacts: Mapping[int, Contact]  # deepest contact found, by segment
     limits: tuple[LimitUse, ...]
     deviation: PathDeviation | None  # None: no path, or no configuration near it
+    near_m: float | None  # distance within which configurations count as on the job's path [m]; None: no path
     seconds: float  # time of reading, building the scene and proving [s]
 
     @property
@@ -134,6 +142,7 @@ def prove_file(
     found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
     lag = _tracking(problem.robot, tracking_rad, tracking_m)
     about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
+    about["near_m"] = near_path_m(problem) if scene.has_part and has_path(problem) else None
     about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag}
     with devices.on(problem.devices[0]):
         if found.poses is not None:

@@ -16,6 +16,7 @@ from htcp_jax.model import robot as robots
 from htcp_jax.motion import Problem
 from htcp_jax.numerics import safe_norm
 from htcp_jax.proving.curves import JointCurves
+from htcp_jax.status import Kind
 from htcp_jax.trajectory import in_padded_sizes, tcp_at
 
 BETWEEN = 8  # sampled places between the ends of a joint path
@@ -23,7 +24,7 @@ NEAR_M = 1e-3  # configurations within this distance of the path, or its toleran
 TIED_M = 1e-5  # points of the path count as equally near within this distance
 JUMP = 3.0  # consecutive samples cover the path between them if it is at most this times as long as the TCP's step
 CHUNK = 4096  # sampled places at a time
-PROCESS = ("process", "dwell")  # kinds of rows on the path in this package's files
+PROCESS = (Kind.PROCESS.words, Kind.DWELL.words)  # kinds of rows on the path in this package's files
 
 
 class RowDeviation(NamedTuple):
@@ -56,6 +57,16 @@ class _Path(NamedTuple):
     along: Float[np.ndarray, "T"]  # length from the first point [m]
 
 
+def has_path(problem: Problem) -> bool:
+    """Return True if the problem's first scenario has a path of two points or more."""
+    return _path(problem) is not None
+
+
+def near_path_m(problem: Problem) -> float:
+    """Return the distance within which configurations count as on the path [m]."""
+    return max(NEAR_M, problem.settings.tube_m)
+
+
 def tcp_positions(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n 3"]:
     """Return the TCP's positions with the scenario's tool, world, or the part's frame if the part moves [m]."""
     return tcp_at(_with_tool(problem), x)[0]
@@ -80,7 +91,7 @@ def path_deviation(
     Returns:
         The deviation; None if the path has fewer than two points, or if no configuration is near it.
     """
-    path, near_m = _path(problem), max(NEAR_M, problem.settings.tube_m)
+    path, near_m = _path(problem), near_path_m(problem)
     if path is None:
         return None
     on = _process(problem, path, x, kind, near_m)
@@ -113,7 +124,7 @@ def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDe
 
     The positions from the first to the last one that is near the path are compared.
     """
-    path, near_m = _path(problem), max(NEAR_M, problem.settings.tube_m)
+    path, near_m = _path(problem), near_path_m(problem)
     if path is None or not len(points):
         return None
     distance, place = _nearest(path, points)
@@ -145,8 +156,9 @@ def _process(
     problem: Problem, path: _Path, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None, near_m: float
 ) -> Bool[np.ndarray, "m"]:
     """Return True for the segments on the path."""
-    if kind is not None and any(name in PROCESS for name in kind):
-        return np.array([name in PROCESS for name in kind[1:]])
+    on_path = () if kind is None else [name.lower() in PROCESS for name in kind[1:]]
+    if any(on_path):
+        return np.array(on_path)
     on = np.zeros(len(x) - 1, bool)
     near = np.flatnonzero(_nearest(path, tcp_positions(problem, x))[0] <= near_m)
     if len(near):
