@@ -57,7 +57,7 @@ def main() -> int:
     parser.add_argument("--page", action="store_true", help="write the page from the record, and try nothing")
     chosen = parser.parse_args()
     if chosen.page:
-        PAGE.write_text(page(json.loads(RECORD.read_text(encoding="utf-8"))), encoding="utf-8")
+        PAGE.write_text(page(json.loads(RECORD.read_text(encoding="utf-8"))).rstrip() + "\n", encoding="utf-8")
         return 0
     known = yaml.safe_load(JOBS.read_text(encoding="utf-8"))
     results = []
