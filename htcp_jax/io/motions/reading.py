@@ -18,7 +18,7 @@ from htcp_jax.io.motions.ros_file import read_ros_json, read_ros_yaml
 from htcp_jax.io.motions.source import ANGLES, Controller, Rows, Source
 from htcp_jax.io.motions.urscript_file import read_urscript
 from htcp_jax.model import Robot
-from htcp_jax.system import files, read_bytes
+from htcp_jax.system import read_bytes
 
 MOTION_FORMATS: Mapping[str, Callable[[Source], Rows]] = MappingProxyType(
     {
@@ -40,6 +40,7 @@ ENDINGS = {
     ".urscript": "urscript",
 }  # fmt: skip
 OPEN_END = {"csv", "ros", "urscript"}  # formats in which a cut file may be valid
+LINE_ENDS = b"\n", b"\r", b"\x1a"
 BEGINNING = 100_000  # part of a text in which its format is looked for [bytes]
 CONTENTS = (  # formats by their text, in this order
     ("jbi", re.compile(rb"\A\s*/JOB\b")),
@@ -87,7 +88,7 @@ def read_motion(
     name = format_of_content(file, data) if format is None else format
     source = Source(file, data, robot, controller, unit)
     rows = MOTION_FORMATS[name](source)
-    if name in OPEN_END and files.lacks_line_end(data):
+    if name in OPEN_END and not data.endswith(LINE_ENDS):
         rows = rows._replace(notes=(*rows.notes, "The last line has no line end; check that the file is complete."))
     return arranged(source, rows, name, interpolation)
 
