@@ -22,7 +22,6 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.errors import InputError
 from htcp_jax.report import Table
-from htcp_jax.runs import Column
 from htcp_jax.system import output_files
 
 if TYPE_CHECKING:
@@ -184,6 +183,8 @@ def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
     stdout().print()
     if (table := unproven_table(found)).rows:
         print_table(stdout(), table)
+        if (more := len(proof_record.unproven_groups(found)) - LISTED) > 0:
+            stdout().print(f"and {more:,} more; segments.parquet has all")
         stdout().print()
     print_facts(f"{found.robot}: {found.file.name}", _facts(found, seconds) | {"files": str(out)})
 
@@ -263,21 +264,12 @@ def unproven_table(found: "FileProof") -> Table:
     groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
         contact = None if group.deepest is None else found.contacts[group.deepest]
-        row = {"lines": f"{line[group.first]} to {line[group.last + 1]}", "verdict": group.verdict.words}
+        row = {f"{found.counted}s": f"{line[group.first]} to {line[group.last + 1]}", "verdict": group.verdict.words}
         if contact is not None and group.deepest is not None:
             time_s = found.time_at(group.deepest, contact.place)
-            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "at_s": time_s}
-            row |= {"at_percent": 100 * contact.place if time_s is None else None}
+            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "place_s": time_s}
+            row |= {"place_percent": 100 * contact.place if time_s is None else None}
             row |= {"depth_mm": -1e3 * contact.clearance_m, "bodies": f"{contact.body}, {contact.other}"}
         rows.append(row)
-    chosen = (
-        Column("lines", f"{found.counted}s"),
-        Column("verdict", "verdict"),
-        Column("deepest", "deepest on"),
-        Column("at_percent", "at", "%", ".0f"),
-        Column("at_s", "at", "s", ".4g"),
-        Column("depth_mm", "depth", "mm", ".3g"),
-        Column("bodies", "body, obstacle"),
-    )
-    title = f"the {LISTED} deepest of {len(groups):,} groups" if len(groups) > LISTED else ""
-    return Table.of("unproven", chosen, rows, title).without_empty()
+    keys = f"{found.counted}s", "verdict", "deepest", "place_percent", "place_s", "depth_mm", "bodies"
+    return Table.of("unproven", keys, rows).without_empty()

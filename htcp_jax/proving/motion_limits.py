@@ -29,7 +29,7 @@ class LimitUse(NamedTuple):
     joint: str  # name of the joint
     is_slide: bool  # True: lengths in m, False: angles in rad
     largest: float  # bound on the position or the rate's magnitude [rad or m, per s, s2 or s3]
-    limit: float | None  # the limit [rad or m, per s, s2 or s3]; None: none is stated
+    limit: float | None  # the limit, in the unit of `largest` [rad or m, per s, s2 or s3]; None: none is stated
     share: float | None  # largest / limit; for positions the distance from the range's middle / half the range [1]
     excess: float | None  # largest excess over the limit, 0 if it is kept [rad or m, per s, s2 or s3]
     segment: int  # segment on which it occurs

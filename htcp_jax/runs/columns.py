@@ -33,6 +33,7 @@ HEADINGS = {  # of quantities, or of single columns
     "at": "scenario:",
     "begin_mm": "from",
     "better": "further",
+    "bodies": "body, obstacle",
     "beyond": "exceed it",
     "clearance_between": "clearance",
     "clearance_between_min_at": "scenario:",
@@ -44,6 +45,7 @@ HEADINGS = {  # of quantities, or of single columns
     "complete_motions": "complete",
     "cost_common": "cost, common",
     "cycle": "cycle time",
+    "deepest": "deepest on",
     "dwelling": "with dwells",
     "end_mm": "to",
     "feed": "lowest feed",
@@ -62,6 +64,7 @@ HEADINGS = {  # of quantities, or of single columns
     "paths_blocked": "blocked",
     "paths_touching": "collide",
     "percent": "of all",
+    "place": "at",
     "reached": "feed reached",
     "robot.model": "robot",
     "row": "row of the task",
@@ -115,6 +118,8 @@ FORMATS = {  # by unit, or of single columns; columns without a format contain t
     **dict.fromkeys(("off", "most", "tcp_error_max_mm"), ".4g"),
     "difference": "+,d",
     "median_target": ".0f",
+    "place_percent": ".0f",
+    "place_s": ".4g",
     "p": ".2g",
 }
 
