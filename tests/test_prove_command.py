@@ -15,6 +15,7 @@ from htcp_jax import prove_file
 from htcp_jax.cli import main
 from htcp_jax.runs import columns
 from htcp_jax.status import SegmentStatus
+from htcp_jax.viewer import replays_of_file
 
 JOINTS = "j1", "j2", "j3", "j4"
 START = np.array(toy.START)
@@ -177,6 +178,18 @@ def test_the_function_returns_what_the_command_writes(job, proven, tracked, tmp_
         SegmentStatus[name].value
         for name in pq.read_table(tmp_path / "out" / "segments.parquet")["verdict"].to_pylist()
     ]
+
+
+def test_a_file_is_replayed_with_its_verdicts_and_its_clearance(job, tracked, tmp_path):
+    x = into_the_shelf(tracked)
+    found = prove_file(table(tmp_path / "hit.csv", x), job)
+    replay = replays_of_file(found).replay(0, "file")
+    np.testing.assert_array_equal(replay.x, x)
+    assert replay.segment_status[1:].tolist() == found.proof.verdict.tolist()
+    clearance, tcp = toy.measured(toy.scenario(), x)
+    np.testing.assert_allclose(replay.clearance, clearance, atol=1e-9)
+    np.testing.assert_allclose(replay.target, tcp, atol=1e-9)
+    assert replay.path == 1
 
 
 def test_poses_are_compared_with_the_path_and_not_proven(proven, tmp_path):

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.output import Overrides, Seed, stdout
+from htcp_jax.cli.output import Overrides, Seed, progress_bar, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import seeded, source_of
@@ -25,8 +25,9 @@ CLOSED = "closed"
 What = Annotated[
     Path | None,
     typer.Argument(
-        metavar="RUN|CONFIG.yaml",
-        help="Output folder of htcp plan or htcp sweep, or a job to plan; by default the default job.",
+        metavar="RUN|CONFIG.yaml|FILE",
+        help="Output folder of htcp plan or htcp sweep, or a job to plan; by default the default job. With --job, a "
+        "trajectory or robot program.",
     ),
 ]
 Scenario = Annotated[int | None, typer.Option(metavar="K", help="Scenario shown first; by default one that failed.")]
@@ -36,6 +37,9 @@ Method = Annotated[
         metavar="NAME", help="Method shown first; for a job, the planning method.", autocompletion=complete_method
     ),
 ]
+Job = Annotated[
+    Path | None, typer.Option(metavar="JOB.yaml", help="Play a file in the cell of this job, as htcp prove reads it.")
+]
 Host = Annotated[
     str, typer.Option(metavar="ADDRESS", help="Address to listen on; 0.0.0.0 lets other machines connect.")
 ]
@@ -44,6 +48,7 @@ Port = Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Port to 
 
 def view(
     what: What = None,
+    job: Job = None,
     scenario: Scenario = None,
     method: Method = None,
     overrides: Overrides = None,
@@ -55,11 +60,11 @@ def view(
 ) -> int:
     """Show plans in the browser: the arm with its capsules, the workpiece cut open, targets, clearance.
 
-    Failed scenarios of a run are listed first. A job is planned before it is shown. With --feed, the timed motion of
-    htcp program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section
-    program. The space bar plays and pauses, the left and right arrow keys step. Only this machine can connect; pass
-    --host 0.0.0.0 to let other machines connect, with the token in the printed address. Install the extra "view".
-    Writes no files.
+    Failed scenarios of a run are listed first. A job is planned before it is shown. With --feed, the timed motion
+    of htcp program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section
+    program. With --job, the motion of a file is proven and played, as htcp prove does. The space bar plays and
+    pauses, the left and right arrow keys step. Only this machine can connect; pass --host 0.0.0.0 to let other
+    machines connect, with the token in the printed address. Install the extra "view". Writes no files.
 
     Exit codes: 130 after Ctrl-C, 2 on bad input.
 
@@ -71,11 +76,17 @@ def view(
       htcp view out/plan --feed 20mm/s             a timed motion, in real time
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp
       htcp view out/workpiece --method nspace-sqp  a sweep
+      htcp view out/plan/motion.csv --job duct     a trajectory or robot program
     """
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
+    if job is not None:
+        if what is None or feed_m_s or method is not None or scenario is not None:
+            raise InputError("--job plays a FILE; --feed, --method and --scenario do not apply to it")
+        replays, programs = _replays_of_file(what, job, seeded(overrides or (), seed)), None
+    else:
+        replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
     from htcp_jax.viewer import Viewer  # here, as viser is an optional dependency
 
     viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
@@ -88,6 +99,18 @@ def view(
     finally:
         viewer.stop()
     return 0
+
+
+def _replays_of_file(file: Path, job: Path, overrides: Sequence[str]) -> Replays:
+    """Prove a file's motion, print the verdict, and return its replays."""
+    from htcp_jax.proving import proof_record, prove_file
+    from htcp_jax.viewer import replays_of_file
+
+    with progress_bar("paths", first="reading the file and building the scene") as progress:
+        found = prove_file(file, job, overrides=overrides, progress=lambda what, done, count: progress(done, count))
+        replays = replays_of_file(found)
+    stdout().print(proof_record.headline(found))
+    return replays
 
 
 def _replays_and_programs(

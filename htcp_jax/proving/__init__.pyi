@@ -3,7 +3,7 @@ from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
 from .program_proof import ProgramProof, prove_program
 from .prove import MotionProof, prove, prove_curves
-from .scene import scene_of
+from .scene import ProofScene, scene_of
 from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "JointCurves",
     "MotionProof",
     "ProgramProof",
+    "ProofScene",
     "corners",
     "deepest_contact",
     "deepest_contacts",

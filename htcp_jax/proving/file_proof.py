@@ -48,6 +48,7 @@ class FileProof:
     """Proof of the motion in a file; m segments lead from each of its configurations to the next."""
 
     file: Path
+    scene: ProofScene  # where it is proven
     motion: MotionFile
     robot: str  # its name
     joints: tuple[str, ...]  # names of its N coordinates
@@ -141,7 +142,13 @@ def prove_file(
     data = () if job is None else (controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
     found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
     lag = _tracking(problem.robot, tracking_rad, tracking_m)
-    about = {"file": file, "motion": found, "robot": problem.robot.name, "joints": problem.robot.joint_names}
+    about = {
+        "file": file,
+        "scene": scene,
+        "motion": found,
+        "robot": problem.robot.name,
+        "joints": problem.robot.joint_names,
+    }
     about["near_m"] = near_path_m(problem) if scene.has_part and has_path(problem) else None
     about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag}
     with devices.on(problem.devices[0]):

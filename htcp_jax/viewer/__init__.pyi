@@ -1,6 +1,7 @@
 from . import movie, offscreen, plot_strip, reach_picture
 from .arm_picture import draw_arm
 from .browser.page import Viewer
+from .file_motion import replays_of_file
 from .normal_glyphs import glyphs
 from .picture import draw_cell, draw_plan
 from .reach_picture import ReachPanel, draw_reach
@@ -27,5 +28,6 @@ __all__ = [
     "reach_picture",
     "recorded_replays",
     "replays_of",
+    "replays_of_file",
     "sample_program",
 ]
