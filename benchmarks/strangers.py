@@ -204,7 +204,7 @@ def page(record: dict[str, Any]) -> str:
     attacks = [attack for each in jobs for attack in each.get("reach", {}).get("excluded", [])]
     controls = [attack for each in jobs for attack in each.get("reach", {}).get("controls", [])]
     commits = sorted({each["commit"] for each in jobs})
-    return PAGE_TEXT.format(
+    text = PAGE_TEXT.format(
         count=len(jobs),
         listed=len(known),
         true=sum(map(is_true, jobs)),
@@ -225,6 +225,7 @@ def page(record: dict[str, Any]) -> str:
         without=len(jobs) - sum(map(is_true, jobs)),
         ends="\n".join(f"- **{each['name']}**: {ending(each)}." for each in jobs if ending(each)),
     )
+    return text.rstrip() + "\n"
 
 
 def row(found: dict[str, Any], entry: dict[str, Any]) -> str:

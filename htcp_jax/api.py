@@ -150,8 +150,8 @@ class Plan:
         plans = self.plans
         here = np.flatnonzero(plans.executable[0] & (plans.segment_status[0] == SegmentStatus.REDUCED_MARGIN))
         found = [f"at least {1e3 * plans.segment_clearance[0, t]:.3g} mm on the segment to target {t}" for t in here]
-        lacks = f"less than {1e3 * self.job.transfer_margin_m:g} mm and its falloff require: "
-        return {"transfer margin": lacks + ", ".join(found)} if found else {}
+        required = f"; required: {1e3 * self.job.transfer_margin_m:g} mm, less near the ends"
+        return {"transfer margin": ", ".join(found) + required} if found else {}
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""

@@ -39,6 +39,8 @@ def described(error: dict[str, Any]) -> str:
         key = ".".join(str(part) for part in error["loc"][:-1])
         return f"{key} is {reprlib.repr(error['input'])}: at least {error['loc'][-1] + 1} values are needed"
     needed = _NEEDED.get(error["type"], "").format_map(known) or error["msg"][0].lower() + error["msg"][1:]
+    if error["type"] in _OF_NUMBERS:
+        needed += next((f", in {unit}" for ending, unit in _UNITS.items() if where.endswith(ending)), "")
     return f"{where} is {reprlib.repr(error['input'])}: {needed}"
 
 
@@ -48,4 +50,7 @@ _NEEDED = {  # text of the valid values, by the type of pydantic's error
     "model_type": _SECTION, "model_attributes_type": _SECTION,
     "greater_than": "more than {gt:g} is needed", "greater_than_equal": "at least {ge:g} is needed",
     "less_than": "less than {lt:g} is needed", "less_than_equal": "at most {le:g} is allowed",
+    "float_parsing": "a number is needed",
 }  # fmt: skip
+_OF_NUMBERS = "greater_than", "greater_than_equal", "less_than", "less_than_equal", "float_parsing"
+_UNITS = {"_m_s": "m/s", "_rad_s": "rad/s", "_m": "metres", "_rad": "radians", "_deg": "degrees", "_s": "seconds"}

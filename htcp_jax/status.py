@@ -64,10 +64,10 @@ _MESSAGES = {
     Status.TRACKED_AFTER_RECOVERY: "tracked after a recovery",
     Status.QP_INFEASIBLE: "the step QP is infeasible: no step satisfies the clearance, progress and limit constraints",
     Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target or the required clearance",
-    Status.RECOVERY_EXHAUSTED: "no collision-free configuration was found that reaches the target",
+    Status.RECOVERY_EXHAUSTED: "no configuration was found that reaches the target with the required clearance",
     Status.PATH_BLOCKED: (
-        "every collision-free configuration that was found can only be reached by a segment that collides or leaves "
-        "the path"
+        "every configuration that was found can only be reached by a segment that collides, comes nearer than the "
+        "margin, or leaves the path"
     ),
     Status.QP_FAILED: "the QP solver failed and returned no solution",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
@@ -75,8 +75,8 @@ _MESSAGES = {
     Status.HOME_IN_COLLISION: "the home configuration is in collision, so nothing was tried",
     Status.HOME_NOT_JOINED: "no joint path from home to a start was proven collision-free, so nothing was tried",
     Status.NO_START: (
-        "no collision-free configuration within the joint limits was found at the first point of the path, so nothing "
-        "was tried"
+        "no configuration within the joint limits and with the required clearance was found at the first point of the "
+        "path, so nothing was tried"
     ),
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task has no null space in which to recover",

@@ -20,11 +20,12 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from changed_samples import HARMLESS, SAMPLES, SIDE_FILES
+from changed_samples import HARMLESS, MOTION_CONTROLLER, SAMPLES, SIDE_FILES
 from fuzz_targets import Target, refusal, written
 from hypothesis import strategies as st
 
 from htcp_jax.io.cell import load_cell
+from htcp_jax.io.motions import read_motion
 from htcp_jax.io.parts import load_geometry
 from htcp_jax.io.parts.path_file import read_path_points
 from htcp_jax.io.robots.joint_limits import read_joint_limits
@@ -282,6 +283,13 @@ def _moved_cell(file: Path):
     return load_cell(file, moved="table", shift_m=(0.1, 0.0, 0.0))
 
 
+def _motion(file: Path):
+    found = read_motion(file, load_robot(), MOTION_CONTROLLER)
+    for note in found.notes:
+        warnings.warn(note, UserWarning, stacklevel=1)
+    return found
+
+
 KINDS = {
     "URDF, loaded": Kind("arm.urdf", changed_xml, load_robot),
     "URDF, imported": Kind("vendor.urdf", changed_xml, _imported),
@@ -297,6 +305,12 @@ KINDS = {
     "PLY cloud": Kind("scan.ply", changed_lines, load_geometry),
     "path": Kind("path.csv", changed_lines, read_path_points),
     "path with quaternions": Kind("poses.txt", changed_lines, read_path_points),
+    "motion table": Kind("motion.csv", changed_lines, _motion),
+    "trajectory message": Kind("trajectory.yaml", changed_yaml, _motion),
+    "key frames": Kind("keys.xml", changed_xml, _motion),
+    "RAPID": Kind("weld.mod", changed_lines, _motion),
+    "URScript": Kind("weld.script", changed_lines, _motion),
+    "INFORM": Kind("weld.jbi", changed_lines, _motion),
     "joint limits": Kind("joint_limits.yaml", changed_yaml, _limits),
     "job": Kind("job.yaml", changed_yaml, lambda file: load_config(file).model_dump(mode="json")),
 }

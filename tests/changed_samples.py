@@ -1,5 +1,10 @@
 """Valid files for `changed_files`, and the elements in them that may change without effect, each with its reason."""
 
+import numpy as np
+
+from htcp_jax.io.motions import JobController
+from htcp_jax.io.motions.job_controller import EncoderScale
+
 ARM_URDF = """<robot name="arm">
 <link name="base"><collision><origin xyz="0 0 .1"/><geometry><sphere radius=".1"/></geometry></collision></link>
 <link name="upper"><inertial><origin xyz="0 0 .1"/><mass value="2"/>
@@ -196,10 +201,82 @@ program:
   velocity: [1, 2, 3]
 """
 
+MOTION = """time_s,joint1_rad,joint2_rad,joint3_rad,joint4_rad,joint5_rad,joint6_rad,force
+0.5,0.1,0.2,0.3,0.4,0.5,0.6,10
+1.25,0.15,0.25,-0.35,0.45,0.55,0.65,20
+2.75,0.11,0.22,-0.33,0.44,0.56,0.66,30
+"""
+TRAJECTORY = """joint_names:
+  - joint1
+  - joint2
+  - joint3
+  - joint4
+  - joint5
+  - joint6
+points:
+  - positions: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    velocities: [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+    time_from_start:
+      sec: 1
+      nanosec: 500000000
+  - positions: [0.11, 0.22, 0.33, 0.44, 0.55, 0.66]
+    velocities: [0.15, 0.25, 0.35, 0.45, 0.05, 0.06]
+    time_from_start:
+      sec: 3
+      nanosec: 250000000
+"""
+KEY_FRAMES = """<mujoco><keyframe>
+<key name="0_approach" time="0.5" qpos="0.1 0.2 0.3 0.4 0.5 0.6" qvel="1 2 3 4 5 6"/>
+<key name="1_process" time="1.25" qpos="0.11 0.21 0.31 0.41 0.51 0.61" qvel="1.1 2.1 3.1 4.1 5.1 6.1"/>
+</keyframe></mujoco>
+"""
+NO_AXES = ",".join(["9E9"] * 6)
+RAPID = f"""MODULE WeldModule
+CONST jointtarget begin := [[10,20,30,40,50,60],[{NO_AXES}]];
+PROC weld()
+MoveAbsJ begin,v50,fine,tool0;
+SetDO arc,1;
+MoveAbsJ [[11,21,31,41,51,61],[{NO_AXES}]],v1000\\T:=0.5,z10,tool0;
+MoveAbsJ [[12,22,32,42,52,62],[{NO_AXES}]],v1000\\T:=0.75,fine,tool0;
+ENDPROC
+ENDMODULE
+"""
+URSCRIPT = """def weld():
+home = [0.1,0.2,0.3,0.4,0.5,0.6]
+movej(home, 1.5, 0.5)
+set_digital_out(0, True)
+movej([0.11,0.21,0.31,0.41,0.51,0.61], t=1.5, r=0.05)
+servoj([0.12,0.22,0.32,0.42,0.52,0.62], t=0.25)
+end
+"""
+INFORM = """/JOB
+//NAME WELD
+//POS
+///NPOS 3,0,0,0,0,0
+///TOOL 3
+///POSTYPE PULSE
+///PULSE
+C00000=1000,2000,3000,4000,5000,6000
+C00001=1100,2100,3100,4100,5100,6100
+C00002=1200,2200,3200,4200,5200,6200
+//INST
+///DATE 2020/01/02 03:04
+///ATTR SC,RW
+///GROUP1 RB1
+NOP
+MOVJ C00000 VJ=5.00
+DOUT OT#(1) ON
+MOVJ C00001 VJ=6.00
+MOVJ C00002 VJ=7.00 PL=0
+END
+"""
+MOTION_CONTROLLER = JobController(pulses=EncoderScale(np.full(6, 1e5), np.zeros(6)))
+
 SAMPLES = {
     "arm.urdf": ARM_URDF, "vendor.urdf": VENDOR_URDF, "arm.xml": ARM_MJCF, "vendor.xml": VENDOR_MJCF, "cell.xml": CELL,
     "arm.srdf": SRDF, "part.obj": OBJ, "part.stl": STL, "part.ply": PLY, "scan.ply": PLY_CLOUD, "path.csv": PATH,
-    "poses.txt": POSES, "joint_limits.yaml": JOINT_LIMITS, "job.yaml": JOB,
+    "motion.csv": MOTION, "trajectory.yaml": TRAJECTORY, "keys.xml": KEY_FRAMES, "weld.mod": RAPID,
+    "weld.script": URSCRIPT, "weld.jbi": INFORM, "poses.txt": POSES, "joint_limits.yaml": JOINT_LIMITS, "job.yaml": JOB,
 }  # fmt: skip
 SIDE_FILES = {"box.stl": STL}
 
@@ -258,6 +335,29 @@ HARMLESS = {
         r"^[\d.]+(?=(?: \S+){7}$)|(?<=# )\S*timestam\S* |^timestamp (?=# )": "a time: speeds are planned anew",
         r" 0 0 0 [\d.]+$": "a rotation has no length",
         r"^#.*\n(?=#)": "the same remark again",
+    },
+    "motion table": {r",\d+$": "a column that is not used, which a note names"},
+    "trajectory message": {},
+    "key frames": {},
+    "RAPID": {
+        r"(?<=,)\w*(?:v\d+|tool0)\w*(?=[,\\])|(?<=,)\w+(?=;)|(?<=,)\w*z10?\w*(?=,)": "names of speeds, tools and zones",
+        r"^SetDO.*$": "an instruction that does not move, which a note names",
+        r"(?<=PROC )\w+(?=\(\))|(?<=MODULE )\w+$": "names",
+        r"^CONST.*\n": "a constant may stand anywhere before its use",
+    },
+    "URScript": {
+        r"(?<=^movej\(home, )[\d., ]*(?=\)$)": "an acceleration and a velocity",
+        r"(?<=def )\w+(?=\()": "a name",
+        r"^set_digital_out\(.*\)$": "a command that does not move, which a note names",
+        r"t=[\d.]+|(?<=servoj\(\[)[\d.]+": "a number, which may also be shorter",
+    },
+    "INFORM": {
+        r"^//NAME.*\n|^/JOB.*\n|^//POS.*\n|^///(?:TOOL|NPOS|POSTYPE).*\n|^NOP.*\n": "names, heads and counts",
+        r"^///(?:DATE|ATTR|GROUP1).*\n": "attributes of the job",
+        r"^C\d+=.*\n(?=(?:C|//INST))": "positions are found by their numbers",
+        r"(?<=MOVJ C0000)\d*": "a number without zeros",
+        r"^DOUT.*$": "an instruction that does not move, which a note names",
+        r"VJ=[\d.]+|PL=\d?": "speeds, and the level of the last position",
     },
     "joint limits": {"default_velocity_scaling_factor": "speeds are the user's"},
     "job": {},

@@ -84,7 +84,7 @@ def in_main(*lines: str, data: str = "") -> str:
         ("MoveAbsJ home,v5,z7,tool0;", "line 5: the zone z7 cannot be read; valid: fine, z0, z1"),
         ("MoveAbsJ home,v5\\T:=x,z5,tool0;", "line 5: \\T:=x cannot be read"),
         ("MoveAbsJ home,v5,z5\\Z:=1e999,tool0;", "line 5: \\Z:=1e999 cannot be read"),
-        ("MoveAbsJ home,v5;", "line 5: MoveAbsJ needs"),
+        ("MoveAbsJ home,v5;", "line 5: MoveAbsJ with 2 arguments; valid: "),
         ("MoveAbsJ [[0,0,0,0,0,0],[5,9E9,9E9,9E9,9E9,9E9]],v5,z5,tool0;", "line 5: 1 external axes are connected"),
         ("home.robax.rax_1:=7;\nMoveAbsJ home,v5,fine,tool0;", "line 6: the joint target home cannot be read"),
         ('TPWrite "not closed;', "line 5: a text is not closed"),
@@ -109,6 +109,24 @@ def test_a_move_outside_of_what_runs_is_refused(text, message, tmp_path):
     assert refusal(tmp_path, "a.mod", in_main().replace("ENDMODULE", f"{text}\nENDMODULE")).startswith(
         f"a.mod, {message}"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("MODULE M\nPROC a()\nENDMODULE\n", "line 3: the end of a is missing"),
+        ("MODULE M\nPROC a()\nENDPROC\nENDPROC\nENDMODULE\n", "line 4: ENDPROC ends nothing"),
+        ("MODULE M\nPROC a()\nENDPROC\n", "line 4: the end of the module is missing"),
+        ("PROC a()\nPROC b()\nENDPROC\n", "line 2: the end of a is missing"),
+    ],
+)
+def test_a_module_that_is_cut_is_refused(text, message, tmp_path):
+    assert refusal(tmp_path, "a.mod", text) == f"a.mod, {message}"
+
+
+def test_the_main_module_of_a_split_program_names_the_procedures_that_it_lacks(tmp_path):
+    message = refusal(tmp_path, "a.mod", "MODULE M\nPROC weld()\nweld_1;\nweld_2;\nENDPROC\nENDMODULE\n")
+    assert message.endswith("contains no MoveAbsJ in a procedure; it calls weld_1, weld_2, which it does not contain")
 
 
 def test_two_procedures_that_move_need_a_main(tmp_path):
@@ -272,6 +290,9 @@ def test_a_job_of_pulses_is_read_in_the_order_of_its_instructions(tmp_path):
         ("JUMP *LABEL", "line 14: JUMP controls the flow"),
         ("CALL JOB:OTHER", "line 14: CALL controls the flow"),
         ("GRASP 1", "line 14: GRASP is not known"),
+        ("MOVJ VJ=5.00 C00000", "line 14: 'MOVJ VJ=5.00 C00000' cannot be read"),
+        ("MOVJ C00000 VJ=5.00 VJ=6.00", "line 14: 'MOVJ C00000 VJ=5.00 VJ=6.00' cannot be read"),
+        ("MOVJ C00000 FAST", "line 14: 'MOVJ C00000 FAST' cannot be read"),
     ],
 )
 def test_what_cannot_be_read_of_a_job_is_refused_with_its_line(line, message, tmp_path):
@@ -288,6 +309,8 @@ def test_what_cannot_be_read_of_a_job_is_refused_with_its_line(line, message, tm
         ("C00000=0,0,0,0,0,nan", "line 9: position C00000 holds a value that is not a number"),
         ("C00000=0,0,0,0,0,0\r\nC00000=0,0,0,0,0,0", "line 10: position C00000 is given twice"),
         ("hello", "line 9: 'hello' is not a position"),
+        ("///SPEED 3", "line 9: ///SPEED 3 is not known among positions"),
+        ("///RECTAN", "line 9: ///RECTAN after ///POSTYPE PULSE"),
     ],
 )
 def test_a_position_that_is_damaged_is_refused_with_its_line(position, message, tmp_path):

@@ -255,6 +255,12 @@ def test_a_message_of_ros_1_an_echo_with_its_end_and_numbers_of_seconds_are_read
         assert read_text(tmp_path, "a.yaml", text).time_s.tolist() == [1.25]
 
 
+def test_a_missing_part_of_a_duration_is_0_and_named(tmp_path):
+    found = read_text(tmp_path, "a.yaml", as_yaml(points({"time_from_start": {"secs": 2}})))
+    assert found.time_s.tolist() == [2.0]
+    assert found.notes[-1] == "Parts of time_from_start that are missing are 0: point 1."
+
+
 @pytest.mark.parametrize(("more", "expected"), [(({}, {}), "linear"), (RATES, "cubic"), (BOTH_RATES, "quintic")])
 def test_points_are_interpolated_by_what_they_hold(more, expected, tmp_path):
     found = read_text(tmp_path, "a.json", json.dumps(points(*more)))

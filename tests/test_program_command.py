@@ -147,6 +147,9 @@ def test_the_table_says_how_long_it_takes_where_the_feed_drops_and_what_is_used_
     for name in ("duration", "feed", "velocity", "acceleration", "jerk", "torque", "file"):
         assert sum(line.startswith(f"{name} ") for line in output.out.splitlines()) == 1, name
     assert "20 mm/s, held within 1 % over" in output.out and "stop: the arm starts or stops there" in output.out
+    assert "near the part" not in output.out
+    assert run(plans, "--out", "weld.csv", "--set", "program.near_part_speed=0.2") == 0
+    assert "at most 20 % of full joint speed within 20 mm of it, before and after the path" in capsys.readouterr().out
     assert run(plans, "--out", "weld.csv", "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["path_m"] == pytest.approx(0.0093, abs=2e-4) and 0 < record["held_share"] < 1

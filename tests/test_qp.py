@@ -21,7 +21,7 @@ ORACLE = pytest.param(
     "quadprog",
     marks=pytest.mark.skipif("quadprog" not in qpsolvers.available_solvers, reason="quadprog is not installed"),
 )
-# qpsolvers warns of converting matrices from dense to sparse and back: not our hot path.
+# qpsolvers warns of converting the matrices of direct calls from dense to sparse: not our hot path.
 pytestmark = pytest.mark.filterwarnings("ignore::qpsolvers.warnings.SparseConversionWarning")
 
 
@@ -287,6 +287,22 @@ def test_qpsolvers_solves_short_steps_as_accurately_as_long_ones_for_weights_of_
         y, status = QPSolversSolver(name).solve(qps._replace(P=factor * qps.P))
         assert (status == QPStatus.SOLVED).all()
         np.testing.assert_allclose(y, answers, rtol=0, atol=1e-5 * length)
+
+
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+def test_no_step_is_the_exact_solution_of_a_qp_of_qpsolvers_that_requires_none(name):
+    """Regression: ECOS calls its solutions of such QPs inaccurate, so that a plan ended at its start."""
+    qps, _ = short_steps(3, 0.2, seed=2)
+    y, status = QPSolversSolver(name).solve(qps._replace(b=0 * qps.b, h=np.abs(qps.h)))
+    assert (status == QPStatus.SOLVED).all() and not y.any()
+
+
+@pytest.mark.filterwarnings("always::qpsolvers.warnings.SparseConversionWarning")
+@pytest.mark.parametrize("name", ["clarabel", ORACLE])
+def test_a_solver_of_qpsolvers_gets_matrices_of_the_kind_that_it_needs(name, recwarn):
+    """Regression: a plan by Clarabel, HiGHS, OSQP, QPALM or SCS began with three lines of warnings."""
+    QPSolversSolver(name).solve(short_steps(1, 0.2, seed=2)[0])
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize("limit", [1e6, 1e8, 1e300, np.inf])

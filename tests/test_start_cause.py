@@ -26,11 +26,11 @@ PLACE = without_pose(np.eye(4))
 POINT = np.array([0.5, 0.0, 0.5])
 
 
-def cause_of(cloud: np.ndarray, status: Status, path=POINT, start=None, task: Task | None = None):
+def cause_of(cloud: np.ndarray, status: Status, path=POINT, start=None, task: Task | None = None, **margin):
     """Reason of one scenario of the toy arm with a cloud."""
     choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
     part = Workpiece("part", cloud, np.array([path, path + 1e-3]), **choices)
-    scenarios = stack([make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0))])
+    scenarios = stack([make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0), **margin)])
     task = Task(tolerance_m=1e-3) if task is None else task
     found = start_causes(Problem(toy.robot(), part, scenarios, toy.SETTINGS, task), np.array([status]))[0]
     assert found.description.startswith(PLACE), "the part has no pose"
@@ -63,6 +63,12 @@ def test_a_point_that_is_reached_in_collision_alone_names_the_pairs():
     assert (found.body, found.other) == ("tool", "the workpiece") and found.depth_m > 0
     assert "of 2048 attempts reached the point, all in collision, the least by" in found.description
     assert "capsule tool with the workpiece (" in found.description
+
+
+def test_a_point_that_is_reached_with_less_than_the_margin_alone_names_the_largest_clearance():
+    found = cause_of(around(POINT, 0.15), Status.NO_START, margin_m=0.2)
+    said = r"in \d+ of 2048 attempts the arm .* with a clearance of at most ([\d.]+) mm, less than the margin of 200 mm"
+    assert 0 < float(re.fullmatch(said, found.description)[1]) < 150
 
 
 def test_the_pair_with_the_minimum_clearance_is_named():

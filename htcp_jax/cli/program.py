@@ -186,7 +186,7 @@ def program(
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    written = _Written(found, manipulability, torque, checked, paths, proof)
+    written = _Written(found, manipulability, torque, checked, _near_part(made.job), paths, proof)
     if proof.is_undecided:
         warnings.warn(f"{refusal(proof)}: undecided", stacklevel=1)
     if as_json:
@@ -208,13 +208,14 @@ class _Written(NamedTuple):
     manipulability: Float[np.ndarray, "T"]  # at all targets; empty if the feed never drops
     torque: PeakTorque | None
     checked: dict[str, int | float]  # result of --check; empty without it
+    near_part: dict[str, str]  # a fact about the speed near the part; empty at full speed
     paths: dict[Path, range]  # the files, the main one first, with the rows of their configurations
     proof: ProgramProof
 
 
 def _print_record(written: _Written, deviation: dict) -> None:
     """Print a program's figures, its largest torque, its file's deviation, the result of --check and files as JSON."""
-    found, manipulability, torque, checked, paths, proof = written
+    found, manipulability, torque, checked, _, paths, proof = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
     record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
@@ -225,13 +226,11 @@ def _print_record(written: _Written, deviation: dict) -> None:
 
 def _print_written(title: str, written: _Written, deviation: dict[str, str]) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
-    found, manipulability, torque, checked, paths, proof = written
+    found, manipulability, torque, checked, near_part, paths, proof = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
     files = {"file": str(next(iter(paths))), **part_facts(paths)}
-    print_facts(
-        title,
-        {**_program_facts(found), "torque": _torque(torque), **deviation, **proof_facts(proof), **by_mujoco, **files},
-    )
+    checks = {**deviation, **proof_facts(proof), **by_mujoco}
+    print_facts(title, {**_program_facts(found), **near_part, "torque": _torque(torque), **checks, **files})
     if not found.drops:
         return
     stdout().print()
@@ -325,6 +324,14 @@ def _torque(peak_torque: PeakTorque | None) -> str:
     share, at = peak_torque.share, f"{peak_torque.joint} at {peak_torque.time_s:.2f} s"
     at = f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {at}"
     return f"{100 * share:.1f} % of the effort limit, {at}" if share else f"{at}; no effort limit"
+
+
+def _near_part(job: PlanConfig) -> dict[str, str]:
+    program = job.program
+    if program.near_part_speed == 1:
+        return {}
+    speed = f"at most {100 * program.near_part_speed:g} % of full joint speed"
+    return {"near the part": f"{speed} within {1e3 * program.near_part_m:g} mm of it, before and after the path"}
 
 
 def _program_facts(found: ProgramFigures) -> dict[str, str]:

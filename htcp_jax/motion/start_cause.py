@@ -220,10 +220,11 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
         if valid.any():
             return StartCause(f"no start was found in {attempts}")
-        margin = f"the margin of {_mm(float(scenarios.margin_m[s]))}, or with the tool's bare tip in a wall"
-        return StartCause(
-            f"in {clear} of {attempts} the arm reached the point without collision, but with less than {margin}"
-        )
+        margin_m, most_m = float(scenarios.margin_m[s]), float(least.max())
+        lacks = f"a clearance of at most {_mm(most_m)}, less than the margin of {_mm(margin_m)}"
+        if most_m >= margin_m:
+            lacks = f"less than the margin of {_mm(margin_m)}, or with the tool's bare tip in a wall"
+        return StartCause(f"in {clear} of {attempts} the arm reached the point without collision, but with {lacks}")
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
     pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]

@@ -30,6 +30,12 @@ class JointCurves(NamedTuple):
         """True if all paths are straight, and no joint may leave them."""
         return self.coefficients.shape[1] <= 2 and not self.off.any()
 
+    def of_segments(self, segments: Int[np.ndarray, "k"]) -> "JointCurves":
+        """Return the paths of some segments, in ascending order, renumbered from 0."""
+        chosen = np.isin(self.segment, segments)
+        found = JointCurves(*(part[chosen] for part in self))
+        return found._replace(segment=np.searchsorted(segments, found.segment))
+
     def within(self, off: float | Float[np.ndarray, "N"]) -> "JointCurves":
         """Return the paths with a larger distance of each joint, as of a servo's lag [rad or m]."""
         return self._replace(off=self.off + off)

@@ -31,7 +31,7 @@ from htcp_jax.proving.path_deviation import (
     pose_deviation,
     tcp_positions,
 )
-from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tracking_of
+from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tighten, tracking_of
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -170,6 +170,7 @@ def prove_file(
             kept=kept,
             progress=lambda done, count: progress("paths", done, count),
         )
+        proof = tighten(problem, curves.within(lag), proof, margin_m=margin_m, kept=kept)
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]

@@ -1,9 +1,7 @@
 """Proof of the files that `htcp program` writes: they are read back by the readers of other programs, and proven."""
 
-import tempfile
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +10,11 @@ from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions import MotionFile, controller_of, read_motion
 from htcp_jax.proving.file_proof import motion_curves
-from htcp_jax.proving.prove import MotionProof, prove_curves
+from htcp_jax.proving.prove import MotionProof, prove_curves, tighten
 from htcp_jax.proving.scene import scene_of
 from htcp_jax.proving.worst import Contact, deepest_contact
 from htcp_jax.status import SegmentStatus
+from htcp_jax.system import output_files, temporary_folder
 from htcp_jax.trajectory import PlanProgram, ProgramFile
 
 
@@ -59,7 +58,7 @@ def prove_program(
     problem = scene_of(made.job, device=device).problem
     with devices.on(problem.devices[0]):
         curves = motion_curves(problem, motion)
-        proof = prove_curves(problem, curves)
+        proof = tighten(problem, curves, prove_curves(problem, curves))
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         refuted = unproven[proof.verdict[unproven] != SegmentStatus.UNDECIDED]
         first = (refuted if len(refuted) else unproven)[:1].tolist()
@@ -77,10 +76,10 @@ def read_back(made: PlanProgram, format: str, files: Sequence[ProgramFile]) -> M
     """
     controller = controller_of(made.job, made.robot, of_model=format == "keyframes")
     parts = []
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         for number, each in enumerate(each for each in files if len(each.rows)):
-            path = Path(folder, f"part{number}")
-            path.write_text(each.text)
+            path = folder / f"part{number}"
+            output_files.write_text(path, each.text)
             parts.append(read_motion(path, made.robot, controller, format=format))
     return joined(parts)
 

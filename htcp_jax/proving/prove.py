@@ -29,6 +29,7 @@ from htcp_jax.spec import ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
 
 KEPT = 0.5  # share of the clearance at an interval's middle that is proven on the interval
+TIGHT = 0.99  # this share for the segments of files that decide the guaranteed clearance, see `tighten`
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,15 +151,36 @@ def prove_within(
     undecided = np.flatnonzero(found.verdict == SegmentStatus.UNDECIDED)
     if not lag.any() or not len(undecided):
         return found
-    chosen = np.isin(curves.segment, undecided)
-    alone = JointCurves(*(part[chosen] for part in curves))
-    alone = alone._replace(segment=np.searchsorted(undecided, alone.segment))
-    exact = prove_curves(problem, alone, margin_m=margin_m, kept=kept)
+    exact = prove_curves(problem, curves.of_segments(undecided), margin_m=margin_m, kept=kept)
     refuted = ~np.isin(exact.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
     verdict, place, queries = found.verdict.copy(), found.place.copy(), found.queries.copy()
     verdict[undecided[refuted]], place[undecided[refuted]] = exact.verdict[refuted], exact.place[refuted]
     queries[undecided] += exact.queries
     return MotionProof(verdict, found.clearance_m, place, queries)
+
+
+def tighten(
+    problem: Problem, curves: JointCurves, found: MotionProof, *, margin_m: float = 0.0, kept: float = KEPT
+) -> MotionProof:
+    """Return a motion's proof with tighter bounds on the segments that decide its guaranteed clearance.
+
+    The clearance is at most the guaranteed one / `kept`, so other segments need no tighter bound.
+
+    Args:
+        problem: The problem.
+        curves: The joint paths, with the servo's lag.
+        found: Their proof.
+        margin_m: Required clearance [m].
+        kept: Share of the clearance with which they were proven.
+    """
+    loose = np.flatnonzero(found.clearance_m < found.guaranteed_m / kept)
+    if not found.proven or not len(loose):
+        return found
+    again = prove_curves(problem, curves.of_segments(loose), margin_m=margin_m, kept=TIGHT)
+    clearance, queries = found.clearance_m.copy(), found.queries.copy()
+    clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
+    queries[loose] += again.queries
+    return MotionProof(found.verdict, clearance, found.place, queries)
 
 
 def prove_curves(

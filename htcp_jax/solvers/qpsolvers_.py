@@ -5,18 +5,24 @@ import ctypes
 import functools
 import os
 import threading
+import warnings
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import qpsolvers
+from scipy.sparse import csc_matrix
 
 from htcp_jax.errors import InputError
 from htcp_jax.solvers.step_qp import QPSolution, QPStatus, StepQP
 from htcp_jax.types import Float
 
 TRIAL_ERROR = 1e-3  # largest error of a usable solver in the trial QP, relative to the step
-OPTIONS = {name: {"eps_abs": 1e-7, "eps_rel": 1e-7} for name in ("osqp", "qpalm")}  # by default 1e-3 and 1e-4
+OPTIONS: dict[str, dict[str, float]] = {
+    "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7},  # by default 1e-3
+    "qpalm": {"eps_abs": 1e-7, "eps_rel": 1e-7},  # by default 1e-4
+    "ecos": {"abstol": 5e-7, "reltol": 5e-7},  # by default 1e-8, which it often misses, and then finds no solution
+}
 SHORTEST, LONGEST = 2.0**-20, 1.0  # shorter and longer steps are scaled like these [rad or m]
 UNIT = 0.25  # length of a unit relative to the step
 _ONE_AT_A_TIME = threading.Lock()  # standard output belongs to the process
@@ -66,6 +72,9 @@ class QPSolversSolver:
                 one = ScaledQP(*(field[k] for field in problems))
                 if not all(np.isfinite(field).all() for field in one):
                     continue  # status FAILED; some solvers would return numbers
+                if _stays(one, qps.b.shape[1]):
+                    status[k] = QPStatus.SOLVED
+                    continue
                 try:
                     u = _solve(self._name, one, qps.b.shape[1])
                 except Exception:  # each back end has its own exceptions
@@ -77,12 +86,18 @@ class QPSolversSolver:
         return QPSolution(y, status)
 
 
+def _stays(qp: ScaledQP, equations: int) -> bool:
+    """Return True if no step is the solution. ECOS 2.0.14 calls its solutions of such problems inaccurate."""
+    return not qp.q.any() and not qp.bound[:equations].any() and bool((qp.bound[equations:] >= 0).all())
+
+
 def _solve(name: str, qp: ScaledQP, equations: int) -> np.ndarray | None:
     """Return the solution of one scaled QP; None if the solver finds none."""
     (A, G), (b, h) = np.split(qp.rows, [equations]), np.split(qp.bound, [equations])
     bounded = G.any(axis=1) | (h < 0)  # back ends differ in the treatment of infinite bounds
-    # clarabel, scs, highs and others need sparse matrices, quadprog needs dense ones; qpsolvers converts
-    problem = qpsolvers.Problem(np.diag(qp.P), qp.q, G[bounded], h[bounded], A, b)
+    is_sparse = name in qpsolvers.sparse_solvers and name not in qpsolvers.dense_solvers
+    matrix = csc_matrix if is_sparse else np.asarray
+    problem = qpsolvers.Problem(matrix(np.diag(qp.P)), qp.q, matrix(G[bounded]), h[bounded], matrix(A), b)
     solution = qpsolvers.solve_problem(problem, solver=name, **OPTIONS.get(name, {}))
     return solution.x if solution.found else None
 
@@ -135,7 +150,8 @@ def _fault(name: str) -> str | None:
     limit = np.array([np.inf, 3, 3, 3, 3, 3])
     trial = StepQP(P, np.zeros(6), A, A @ y, G, G @ y + [0.0, 0.1, 0.1], -limit, limit)
     one = ScaledQP(*(field[0] for field in _scaled(StepQP(*(field[None] for field in trial)))))
-    with _quiet():
+    with _quiet(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the trial's result is the message
         try:
             u = _solve(name, one, 3)
         except Exception as error:

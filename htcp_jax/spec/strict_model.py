@@ -3,7 +3,7 @@
 import copy
 import difflib
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from types import UnionType
@@ -59,7 +59,7 @@ def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None
     for name, value in list(raw.items()):
         key = keys.get(name)
         if key is None:
-            close = difflib.get_close_matches(str(name), keys, n=1, cutoff=0.5)
+            close = _in_sections(name, keys) or difflib.get_close_matches(str(name), keys, n=1, cutoff=0.5)
             hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(keys)}"
             raise InputError(f"{source}: unknown key {prefix}{name}; {hint}")
         if value is None and key.is_section:
@@ -85,6 +85,12 @@ class _Key(NamedTuple):
     sections: tuple[Any, ...]  # types of sections that the value, or its items, may have
     is_mapping: bool  # True if the value is a mapping from names to items
     is_truth: bool  # True if the value may be true or false
+
+
+def _in_sections(name: Any, keys: Mapping[str, _Key]) -> list[str]:
+    """Return the dotted keys of that name in sections that are keys of a model."""
+    sections = ((own, key.sections) for own, key in keys.items() if key.is_section)
+    return [f"{own}.{name}" for own, parts in sections if any(name in _keys_of(part) for part in parts)]
 
 
 @cache

@@ -43,6 +43,9 @@ def read_csv(source: Source) -> Rows:
     """
     table = _table(source)
     columns = columns_of(source, table.header, table.header_line)
+    for number, row in zip(table.lines, table.rows, strict=True):
+        if len(row) != len(table.header):
+            source.fail(number, f"{len(row)} cells, but the header has {len(table.header)}")
     factors, notes = scales(source, columns, table.header_line)
     joints = columns.joints
     values = _numbers(source, table, [columns.of[POSITION][joint].index for joint in joints])
@@ -119,9 +122,6 @@ def _table(source: Source) -> _Table:
     if not header[-1].strip() and all(not row[-1].strip() for row in rows if len(row) == len(header)):
         rows = [row[:-1] if len(row) == len(header) else row for row in rows]
         header = header[:-1]
-    for number, row in zip(numbers, rows, strict=True):
-        if len(row) != len(header):
-            source.fail(number, f"{len(row)} cells, but the header has {len(header)}")
     return _with_points(_Table(header, header_line, rows, numbers, []), separator)
 
 

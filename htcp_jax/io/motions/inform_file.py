@@ -18,6 +18,10 @@ from htcp_jax.io.motions.source import Rows, Source, listed
 POSITION = re.compile(r"([A-Z]{1,2})(\d{1,5})\s*=(.*)")
 VARIABLE = re.compile(r"\b(C|BC|EC|P|BP|EX)(\d{1,5})")
 NUMBER = re.compile(r"\s*[-+]?(?:\d+\.?\d*|\.\d+)\s*")
+HEADER = "NPOS", "USER", "TOOL", "POSTYPE", "PULSE", "RECTAN", "RCONF"  # among positions
+MOVE = re.compile(
+    r"\+?MOV[JLCS](?: +(?:C|BC|EC|P|BP|EX)\d{1,5})+(?: +(?:V|VJ|VR|VE|PL|CR|ACC|DEC)=[\w.#()]+| +NWAIT)* *"
+)
 KINDS = "C", "BC", "EC"  # position variables of robot, base and station, which belong to the job
 MOVES = "MOVJ", "MOVL", "MOVC", "MOVS"
 # Instructions that do not move the arm.
@@ -163,12 +167,23 @@ def _job(source: Source) -> _Job:
                 source.fail(k, f"position {kind}{number} is given twice")
             positions[kind, int(number)] = _Position(k, pulses, [float(cell) for cell in cells])
         elif line.startswith("///"):
-            key, _, value = line.lstrip("/").partition(" ")
-            pulses = key == "PULSE" or (pulses and key != "RECTAN" and key != "POSTYPE")
-            about[key] = value
-        elif line.strip() and not line.startswith("/"):
+            key, _, value = line[3:].partition(" ")
+            if key not in HEADER:
+                source.fail(k, f"{line[:40]} is not known among positions; valid: {', '.join(HEADER)}")
+            about[key] = value.strip()
+            pulses = (pulses or key == "PULSE") and key not in ("RECTAN", "POSTYPE")
+            if key in ("PULSE", "RECTAN") and about[key]:
+                source.fail(k, f"{line[:60]} has a value")
+            if key in ("PULSE", "RECTAN") and (about.get("POSTYPE") == "PULSE") != pulses:
+                source.fail(k, f"{line} after ///POSTYPE {about.get('POSTYPE', '')}")
+        elif line.strip() and line.split()[0] not in ("/JOB", "//NAME", "//POS"):
             source.fail(k, f"{line.strip()[:40]!r} is not a position")
     body = [(k, line.strip()) for k, line in enumerate(lines[at + 1 :], start=at + 2) if line.strip()]
+    ends = [k for k, line in body if line == "END"]
+    if not ends:
+        source.fail(len(lines), "END is missing")
+    if body[-1][0] > ends[0]:
+        source.fail(ends[0], "END before the last line")
     job = _Job(positions, [(k, line) for k, line in body if not line.startswith("///")], about)
     _check_counts(source, job)
     return job
@@ -180,8 +195,6 @@ def _moves(source: Source, job: _Job, readable: tuple[str, ...]) -> list[tuple[i
     for k, line in job.instructions:
         word = line.split(maxsplit=1)[0]
         if line.startswith("'") or word in STILL or word.startswith("//"):
-            if word == "END":
-                break
             continue
         if word in readable:
             second = re.search(r"\+\s*([A-Z]+)", line)
@@ -210,13 +223,17 @@ def _notes(job: _Job) -> list[str]:
 
 
 def _check_complete(source: Source, line: int, instruction: str) -> None:
-    """Check that an instruction has no condition that ends its move early.
+    """Check that an instruction has no condition that ends its move early, and nothing that is not known.
 
     Raises:
         InputError: If it has one.
     """
     if (found := re.search(r"\b(UNTIL|SRCH)\b", instruction)) is not None:
         source.fail(line, f"{found[1]} ends a move early, which cannot be read")
+    for part in re.split(r"\s+(?=\+)", instruction):
+        keys = re.findall(r" ([A-Z]+)=", part)
+        if MOVE.fullmatch(part) is None or len({*keys}) < len(keys):
+            source.fail(line, f"{part[:60]!r} cannot be read; valid: a move, its positions, and then speeds and PL")
 
 
 def _check_counts(source: Source, job: _Job) -> None:

@@ -40,6 +40,8 @@ class _Keys:
             if self.path[-2:] != ["keyframe", "key"]:
                 self.fail("<key> must be in <keyframe>")
             self.keys.append((self.parser.CurrentLineNumber, attributes))
+        elif self.path[-2:-1] == ["keyframe"]:
+            self.fail(f"<{tag}> is not known in <keyframe>; valid: <key>")
         elif tag != "keyframe" and len(self.path) == 2:
             self.others.add(tag)
 

@@ -16,8 +16,9 @@ from htcp_jax.io.motions.rapid_statements import Statement, statements
 from htcp_jax.io.motions.source import DEG, LARGEST, Rows, Source, corners, elapsed, listed
 
 ZONES_MM = {"fine": 0.0, "z0": 0.3} | {f"z{k}": float(k) for k in (1, 5, 10, 15, 20, 30, 40, 50, 60, 80, 100, 150, 200)}
-CONNECTED = 9e9  # an external axis with this value is not connected
+NOT_CONNECTED = 9e9  # an external axis with this value is not connected
 AXES = 6
+ARGUMENTS = 4  # of MoveAbsJ, without switches
 READ_TYPES = {"jointtarget", "robjoint", "extjoint", "zonedata", "num"}
 DECLARATION = re.compile(
     r"(?:(?:LOCAL|TASK)\s+)?(CONST|PERS|VAR|ALIAS|RECORD)\s+(\w+)\s+(\w+)(\s*\{[^}]*\})?\s*(?::=\s*(.*))?",
@@ -143,14 +144,18 @@ def _move(source: Source, statement: Statement, known: dict[str, Any]) -> _Move:
     line, arguments = statement.line, _arguments(statement.text[len("MoveAbsJ") :])
     while arguments and re.fullmatch(r"\\conc", arguments[0].strip(), re.IGNORECASE):
         arguments = arguments[1:]
-    if len(arguments) < 4:
-        source.fail(line, "MoveAbsJ needs a joint target, a speed, a zone and a tool")
+    if len(arguments) != ARGUMENTS:
+        source.fail(
+            line, f"MoveAbsJ with {len(arguments)} arguments; valid: a joint target, a speed, a zone and a tool"
+        )
     target, *_ = _switches(arguments[0])
     value = _value(target, known)
     if not (isinstance(value, list) and len(value) == 2 and all(_are_numbers(part) for part in value)):
         text = f"the joint target {target[:60]} cannot be read"
         source.fail(line, f"{text}; valid: [[six axes],[six external axes]] or a constant with them")
     robot, external = value
+    if max(external) > NOT_CONNECTED:
+        source.fail(line, f"an external axis is {max(external):g}; an axis that is not connected is 9E9")
     _, *speed = _switches(arguments[1])
     zone, *of_zone = _switches(arguments[2])
     time_s = _switch(source, line, speed, "t", known)
@@ -158,7 +163,7 @@ def _move(source: Source, statement: Statement, known: dict[str, Any]) -> _Move:
     return _Move(
         line,
         robot,
-        [v for v in external if v < CONNECTED],
+        [v for v in external if v < NOT_CONNECTED],
         time_s,
         _zone(source, line, zone, known) if zone_mm is None else zone_mm,
     )

@@ -11,6 +11,7 @@ MOVES = re.compile(
 )
 INSIDE = re.compile(r"\b(?:Move(?:AbsJ|J|L|C|Ext)|Trigg[JLC]|Search[LC]|Arc[LC])\w*\s", re.IGNORECASE)
 MAIN = "main"
+ALONE = {"return", "exit", "stop", "break", "retry", "trynext", "raise"}  # instructions without arguments
 DEEPEST = 20  # maximum number of calls within calls
 MOST = 1_000_000  # maximum number of statements
 
@@ -39,7 +40,10 @@ def executed(source: Source, every: list[Statement]) -> list[Statement]:
                 bodies[statement.routine].append(statement)
     first = {name: moves[0] for name, body in bodies.items() if (moves := [s for s in body if _moves(s, bodies)])}
     if not first:
-        raise InputError(f"{source.file} contains no MoveAbsJ in a procedure")
+        called = [s.text for body in bodies.values() for s in body if re.fullmatch(r"\w+", s.text)]
+        others = [name for name in called if name.lower() not in bodies.keys() | ALONE]
+        more = f"; it calls {listed(others)}, which it does not contain" if others else ""
+        raise InputError(f"{source.file} contains no MoveAbsJ in a procedure{more}")
     begin = _begin(source, bodies, first)
     found: list[Statement] = []
     ran = _run(source, bodies, begin, found, ())

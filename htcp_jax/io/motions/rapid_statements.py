@@ -8,14 +8,14 @@ from htcp_jax.io.motions.source import Source
 
 # Words that stand in front of a statement, or alone, without a semicolon.
 HEAD = re.compile(
-    r"\s*(%%%[^%]*%%%|MODULE\s+\w+\s*(?:\([^)]*\))?|ENDMODULE|END(?:PROC|FUNC|TRAP)|ERROR\b(?:\s*\([^)]*\))?"
+    r"\s*(%%%[^%]*%%%|MODULE\s+\w+\s*(?:\([^)]*\))?|ENDMODULE\b|END(?:PROC|FUNC|TRAP)\b|ERROR\b(?:\s*\([^)]*\))?"
     r"|BACKWARD\b|UNDO\b|(?:LOCAL\s+)?(?:PROC|TRAP|FUNC\s+\w+)\s+\w+\s*(?:\([^)]*\))?)",
     re.IGNORECASE,
 )
 # Words of the control flow that end without a semicolon.
 BLOCK = re.compile(
-    r"\s*(IF\b.*?\bTHEN\b|ELSEIF\b.*?\bTHEN\b|ELSE\b|ENDIF\b|FOR\b.*?\bDO\b|ENDFOR\b|WHILE\b.*?\bDO\b|ENDWHILE\b|TEST\b|CASE\b"
-    r"|DEFAULT\s*:|ENDTEST\b|GOTO\b|IF\b)",
+    r"\s*(IF\b.*?\bTHEN\b|ELSEIF\b.*?\bTHEN\b|ELSE\b|ENDIF\b|FOR\b.*?\bDO\b|ENDFOR\b|WHILE\b.*?\bDO\b|ENDWHILE\b"
+    r"|TEST\b.*?(?=\bCASE\b|\bDEFAULT\b|\bENDTEST\b)|CASE\b[^:]*:|DEFAULT\s*:|ENDTEST\b|GOTO\b|IF\b)",
     re.IGNORECASE | re.DOTALL,
 )
 
@@ -40,19 +40,28 @@ def statements(source: Source) -> Iterator[Statement]:
     """Yield the statements of all modules in a file.
 
     Raises:
-        InputError: For a text that is not closed.
+        InputError: For a text, a routine or a module that is not closed.
     """
     routine, kind, handler = "", "", False
+    module = False
+    line = 1
     for line, chunk in _chunks(source):
         rest, at = chunk, line
         while True:
             if (head := HEAD.match(rest)) is not None:
                 word = head[1].upper()
                 if word.startswith(("ENDPROC", "ENDFUNC", "ENDTRAP", "MODULE", "ENDMODULE")):
+                    if word.startswith("END") and not (module if word == "ENDMODULE" else routine):
+                        source.fail(at + _breaks(rest), f"{word} ends nothing")
+                    if "MODULE" in word and routine:
+                        source.fail(at + _breaks(rest), f"the end of {routine} is missing")
+                    module = word.startswith("MODULE") or (module and not word.startswith("ENDMODULE"))
                     routine, kind, handler = "", "", False
                 elif word.startswith(("ERROR", "BACKWARD", "UNDO")) and routine:
                     handler = True
                 elif not word.startswith(("%%%", "ERROR", "BACKWARD", "UNDO")):
+                    if routine:
+                        source.fail(at + _breaks(rest), f"the end of {routine} is missing")
                     plain = re.sub(r"\(.*", "", head[1], flags=re.DOTALL).split()
                     routine, handler = plain[-1].lower(), False
                     kind = next(each.lower() for each in plain if each.lower() in ("proc", "func", "trap"))
@@ -66,6 +75,8 @@ def statements(source: Source) -> Iterator[Statement]:
             rest = rest[end:]
         if rest.strip():
             yield Statement(at + _breaks(rest), " ".join(rest.split()), routine, kind, handler, False)
+    if routine or module:
+        source.fail(source.text.count("\n") + 1, f"the end of {routine or 'the module'} is missing")
 
 
 def _breaks(text: str) -> int:

@@ -39,6 +39,8 @@ ENDINGS = {
     ".xml": "keyframes", ".mod": "rapid", ".modx": "rapid", ".prg": "rapid", ".script": "urscript",
     ".urscript": "urscript",
 }  # fmt: skip
+OPEN_END = {"csv", "ros", "urscript"}  # formats in which a cut file may be valid
+LINE_ENDS = b"\n", b"\r", b"\x1a"
 BEGINNING = 100_000  # part of a text in which its format is looked for [bytes]
 CONTENTS = (  # formats by their text, in this order
     ("jbi", re.compile(rb"\A\s*/JOB\b")),
@@ -85,7 +87,10 @@ def read_motion(
         raise InputError(f"{file} is empty")
     name = format_of_content(file, data) if format is None else format
     source = Source(file, data, robot, controller, unit)
-    return arranged(source, MOTION_FORMATS[name](source), name, interpolation)
+    rows = MOTION_FORMATS[name](source)
+    if name in OPEN_END and not data.endswith(LINE_ENDS):
+        rows = rows._replace(notes=(*rows.notes, "The last line has no line end; check that the file is complete."))
+    return arranged(source, rows, name, interpolation)
 
 
 def format_of_content(file: Path, data: bytes) -> str:

@@ -194,6 +194,8 @@ def _rows(source: Source, document: Mapping[str, Any], points: list[_Point], not
         notes.append("Accelerations without velocities are not used: the controller interpolates linearly.")
         arrays[2] = None
     time_s = _times(source, points, counted)
+    if short := [str(p.line) for p in points if isinstance(p.time, dict) and len(p.time) < len(DURATION)]:
+        notes.append(f"Parts of time_from_start that are missing are 0: {counted} {listed(short)}.")
     if time_s is None and arrays[1] is not None:
         source.fail_at(f"{counted} {points[0].line}", "velocities without time_from_start cannot be interpolated")
     default = "linear" if arrays[1] is None else "cubic" if arrays[2] is None else "quintic"

@@ -74,6 +74,8 @@ def read_urscript(source: Source) -> Rows:
         text = each.text
         if (called := CALL.fullmatch(text)) is not None:
             name, inside = called.groups()
+            if not _is_call(text):
+                source.fail(each.line, f"{text[:60]!r} is not one call")
             if name in ARGUMENTS:
                 moves.append(_move(source, each.line, name, inside, known))
             elif name in STILL or name.endswith("_signal_on"):
@@ -260,6 +262,14 @@ def _has_point(node: ast.expr) -> bool:
         case ast.BinOp(left=left, right=right):
             return _has_point(left) or _has_point(right)
     return isinstance(node, ast.Call)
+
+
+def _is_call(text: str) -> bool:
+    """Return True if a text is one call of a function."""
+    try:
+        return isinstance(ast.parse(text, mode="eval").body, ast.Call)
+    except (SyntaxError, ValueError, RecursionError):
+        return False
 
 
 def _is_number(value: Value) -> bool:
