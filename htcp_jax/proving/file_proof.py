@@ -82,7 +82,7 @@ class FileProof:
 
     @property
     def counted(self) -> str:
-        """What `motion.line` counts: "line", "row", "point" or "key"."""
+        """Unit of `motion.line`: "line", "row", "point" or "key"."""
         return COUNTED.get(self.motion.format, "line")
 
     def time_at(self, segment: int, share: float) -> float | None:

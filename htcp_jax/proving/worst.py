@@ -1,4 +1,4 @@
-"""Where a refuted motion collides: the place of the deepest contact found on a segment, its body and its obstacle."""
+"""The deepest contact found on a segment of a refuted motion: its place, its body and its obstacle."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple

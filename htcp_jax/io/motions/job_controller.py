@@ -1,4 +1,4 @@
-"""What a job says about its controller, as far as files with joint values need it."""
+"""Controller data of a job that files with joint values need."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
