@@ -25,6 +25,7 @@
     python -m benchmarks arm-files         arms in packages of PyPI, compared with Pinocchio and MuJoCo
     python -m benchmarks strangers         jobs on published arms, checked with their original meshes
     python -m benchmarks missed-contacts   configurations of arms that are called clear, checked with the arms' meshes
+    python -m benchmarks prove             motions of any tool: known truths, sampled checks, proven segments a second
     python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
@@ -60,6 +61,7 @@ CASES = (
     "arm-files",
     "strangers",
     "missed-contacts",
+    "prove",
     "shape",
     "mutants",
 )

@@ -91,6 +91,8 @@ def prove(
     Raises:
         InputError: For invalid input, or configurations of the wrong number of joints or that are not finite.
     """
+    if not 0 <= margin_m < np.inf:
+        raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
     problem = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device).problem
     x = _configurations(x, problem)
     motions, points, joints = (1, *x.shape) if x.ndim == 2 else x.shape

@@ -1,0 +1,245 @@
+"""Case `sampled` of `prove`: motions that sampled checks call valid, and proofs refute.
+
+Resolutions are the documented defaults of the tools. OMPL tests motions at 1 % of the space's extent
+(`longest_valid_segment_fraction` 0.01); MoveIt's Setup Assistant writes 0.005 into `ompl_planning.yaml` (moveit pull
+request 337), of an extent that is the sum of the joints' ranges. Tesseract's `CollisionCheckConfig` has the type
+DISCRETE, which tests a program's own states alone, and a `longest_valid_segment_length` of 0.005 for its LVS types. The
+geometry is the same for all, so that the differences are those of the resolutions. Drake has no default step.
+"""
+
+import json
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from itertools import combinations, product
+from pathlib import Path
+
+import fcl
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+import htcp_jax
+from benchmarks import prove_scenes as scenes
+from benchmarks.prove_reference import ChainArm
+from benchmarks.prove_table import Table
+from htcp_jax.model import Robot
+from htcp_jax.motion import Problem
+from htcp_jax.motion.start_cause import clearances_at
+from htcp_jax.proving import deepest_contact, prove_curves, scene_of, straight
+from htcp_jax.status import SegmentStatus
+
+POSES = tuple(product((0.2, 0.5, 0.8), (-0.3, 0.0, 0.3)))
+METHODS = "baseline", "cspace-sample"
+EDGES, LONGEST_RAD, SEED = 2000, 1.0, 3
+DRAKE_STEPS = 0.05, 0.01
+EXTENT_RAD = 2 * np.pi  # largest range of a joint that counts
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def samples_of(robot: Robot, step: Float[np.ndarray, "m N"]) -> dict[str, Int[np.ndarray, "m"]]:
+    """Return the numbers of equal parts between whose ends each tool tests segments, by its name."""
+    ranges = np.minimum(np.asarray(robot.upper) - np.asarray(robot.lower), EXTENT_RAD)
+    length, summed = np.linalg.norm(step, axis=1), np.abs(step).sum(axis=1)
+    parts = {
+        "ends alone (Tesseract DISCRETE)": 0 * length,
+        "OMPL 1 %": length / (0.01 * np.linalg.norm(ranges)),
+        "MoveIt 0.5 %": summed / (0.005 * ranges.sum()),
+        "0.05 rad": length / 0.05,
+        "Tesseract LVS 0.005": length / 0.005,
+    }
+    return {name: np.maximum(np.ceil(count), 1).astype(int) for name, count in parts.items()}
+
+
+def sampled(data: Path, folder: Path, count: int, drake: str | None) -> list[Table]:
+    """Compare sampled checks with proofs; without data, only on our own planners' motions."""
+    tables = [_planned()]
+    if (data / "drake_ccd").exists():
+        tables += _shelf_tables(data / "drake_ccd", folder, count, drake)
+    return tables
+
+
+HEAD = "motions", "segments", "refuted", "resolution", "called valid", "refuted among them", "share %", "deepest mm"
+
+
+def _rows(name: str, parts: Sequence[tuple[Problem, np.ndarray, np.ndarray]]) -> list[tuple[str, ...]]:
+    """Return one row per resolution, for segments from a to b in some problems."""
+    total, refuted, called, wrong, deepest = 0, 0, {}, {}, {}
+    for problem, a, b in parts:
+        curves = straight(np.stack([a, b], axis=1).reshape(-1, a.shape[1]))
+        pairs = curves.segment[::2]  # without the steps from one segment's end to the next one's start
+        curves = type(curves)(*(each[pairs] for each in curves))._replace(segment=np.arange(len(a)))
+        bad = prove_curves(problem, curves, kept=0.0).verdict == SegmentStatus.IN_COLLISION
+        depths: dict[int, float] = {}
+        total, refuted = total + len(a), refuted + int(bad.sum())
+        for tool, count in samples_of(problem.robot, b - a).items():
+            valid = _valid(problem, a, b, count)
+            missed = np.flatnonzero(valid & bad)
+            for k in missed[:MEASURED].tolist():
+                depths.setdefault(k, -deepest_contact(problem, curves, k).clearance_m)
+            called[tool] = called.get(tool, 0) + int(valid.sum())
+            wrong[tool] = wrong.get(tool, 0) + len(missed)
+            deepest[tool] = max([deepest.get(tool, 0.0), *(depths[k] for k in missed[:MEASURED].tolist())])
+    rows = []
+    for tool, number in called.items():
+        depth = f"{1e3 * deepest[tool]:.3f}" if wrong[tool] else ""
+        share = f"{100 * wrong[tool] / max(number, 1):.2f}"
+        rows.append((name, f"{total:,}", f"{refuted:,}", tool, f"{number:,}", f"{wrong[tool]:,}", share, depth))
+    return rows
+
+
+MEASURED = 100  # segments whose deepest contact is measured
+
+
+def _valid(problem: Problem, a: np.ndarray, b: np.ndarray, parts: Int[np.ndarray, "m"]) -> Bool[np.ndarray, "m"]:
+    """Return True for segments whose configurations at the ends of the equal parts are clear."""
+    segment = np.repeat(np.arange(len(a)), parts + 1)
+    number = np.arange(len(segment)) - np.repeat(np.cumsum(parts + 1) - parts - 1, parts + 1)
+    s = number / parts[segment]
+    clear = clearances_at(problem, a[segment] + s[:, None] * (b - a)[segment]) > 0
+    found = np.ones(len(a), bool)
+    np.logical_and.at(found, segment, clear)
+    return found
+
+
+# Our own planners
+
+
+def _planned() -> Table:
+    """Compare on motions of our own planners whose segments are tested at 20 samples."""
+    rows = []
+    for method in METHODS:
+        parts = []
+        for y, z in POSES:
+            changes = {"workpiece.rotation_y_rad": y, "workpiece.rotation_z_rad": z, "method": method}
+            changes |= {"settings.path_test": "samples", "settings.path_check": "all"}
+            job = ROOT / "configs/paper.yaml"
+            plans = htcp_jax.plan(job, changes).plans
+            x = plans.x[0][plans.tracked[0]]
+            if len(x) > 1:
+                parts.append((scene_of(job, changes).problem, x[:-1], x[1:]))
+        rows += _rows(f"`{method}`", parts)
+    return Table("Generated duct, nine poses, configs/paper.yaml with path_test=samples, path_check=all", HEAD, rows)
+
+
+# Drake's arm
+
+
+def _shelf_tables(data: Path, folder: Path, count: int, drake: str | None) -> list[Table]:
+    file = scenes.without_meshes(data, folder)
+    model, arm = scenes.imported(file, folder), scenes.reference_of(file)
+    boxes = scenes.shelf(data, "10")
+    robot = {"model": str(model)}
+    problem = scene_of(
+        {"robot": robot, "cell": {"model": scenes.box_cell(boxes, folder / "shelf.xml"), "self_collision": True}}
+    ).problem
+    a, b = _edges(problem)
+    rows = _rows("random edges of up to 1 rad, shelf", [(problem, a, b)])
+    rng, limits = np.random.default_rng(SEED), (np.asarray(problem.robot.lower), np.asarray(problem.robot.upper))
+    motions = [scenes.plant(arm, limits, depth, rng) for depth in scenes.depths(count, rng)]
+    parts = []
+    for k, one in enumerate(motions):
+        cell = {"model": scenes.ball_cell(one.centre, one.radius, folder / f"ball {k}.xml"), "self_collision": False}
+        parts.append((scene_of({"robot": robot, "cell": cell}).problem, one.a[None], one.b[None]))
+    rows += _rows("planted, a ball", parts)
+    others = _others(data, folder, file, arm, motions, drake)
+    return [Table("iiwa 14 with 46 spheres", HEAD, rows), *others]
+
+
+def _edges(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Return random edges between clear configurations, as a roadmap has them."""
+    rng, lower, upper = np.random.default_rng(SEED), np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
+    a = rng.uniform(lower, upper, (8 * EDGES, len(lower)))
+    step = rng.normal(size=a.shape)
+    step *= LONGEST_RAD * rng.uniform(0.1, 1, (len(a), 1)) / np.linalg.norm(step, axis=1, keepdims=True)
+    b = np.clip(a + step, lower, upper)
+    good = np.flatnonzero((clearances_at(problem, a) > 0) & (clearances_at(problem, b) > 0))[:EDGES]
+    return a[good], b[good]
+
+
+def _others(
+    data: Path, folder: Path, file: Path, arm: ChainArm, motions: list[scenes.Planted], drake: str | None
+) -> list[Table]:
+    """Return sampled checks of FCL and Drake on the path into the shelf and on planted motions."""
+    path = scenes.along(scenes.quintics(*scenes.waypoints(data)))
+    shelves = {tier: scenes.shelf(data, tier) for tier in ("02", "00")}
+    on_path, on_edges = [], []
+    for tier, boxes in shelves.items():
+        shapes = [(fcl.Box(*(2 * half)), centre) for centre, half in zip(*boxes[1:], strict=True)]
+        for number in PATH_SAMPLES:
+            began = time.perf_counter()
+            hits = _fcl_hits(arm, path(np.linspace(0, 1, number)), shapes)
+            spent = 1e3 * (time.perf_counter() - began)
+            on_path.append((f"{int(tier)} mm", "python-fcl", f"{number:,}", str(hits), f"{spent:.0f}"))
+    for number in (101, scenes.GRID):
+        began, missed, s = time.perf_counter(), 0, np.linspace(0, 1, number)[:, None]
+        for one in motions:
+            ball = [(fcl.Sphere(one.radius), one.centre)]
+            missed += _fcl_hits(arm, one.a + s * (one.b - one.a), ball) == 0
+        spent = 1e3 * (time.perf_counter() - began) / len(motions)
+        on_edges.append(("python-fcl", f"{number:,} samples", f"{missed} of {len(motions)}", f"{spent:.1f}"))
+    if drake is not None:
+        found = _drake(drake, folder, file, shelves, path, motions)
+        name = f"Drake {found['version']}"
+        for key, one in found["paths"].items():
+            tier = f"{int(key.split()[0])} mm"
+            on_path.append((tier, name, f"{one['samples']:,}", str(one["collide"]), f"{one['ms']:.0f}"))
+        for step, one in found["edges"].items():
+            missed = f"{sum(one['free'])} of {len(motions)}"
+            on_edges.append((name, f"edge_step_size {step} rad", missed, f"{one['ms']:.1f}"))
+    return [
+        Table("Path into the shelf by samples", ("tier", "checker", "samples", "in collision", "ms"), on_path),
+        Table("Planted collisions by samples", ("checker", "resolution", "missed", "ms each"), on_edges),
+    ]
+
+
+PATH_SAMPLES = 601, 6001
+
+
+def _fcl_hits(arm: ChainArm, x: np.ndarray, shapes: list[tuple[object, np.ndarray]]) -> int:
+    """Return the number of configurations in which a moving sphere touches a shape, by FCL."""
+    still = [fcl.CollisionObject(shape, fcl.Transform(np.asarray(place))) for shape, place in shapes]
+    world = fcl.DynamicAABBTreeCollisionManager()
+    world.registerObjects(still)
+    world.setup()
+    moving = np.flatnonzero(arm.link > 0)
+    spheres = [fcl.CollisionObject(fcl.Sphere(arm.radius[k]), fcl.Transform()) for k in moving]
+    bodies = fcl.DynamicAABBTreeCollisionManager()
+    bodies.registerObjects(spheres)
+    bodies.setup()
+    hits = 0
+    for at in arm.ends(x)[0][:, moving]:
+        for sphere, centre in zip(spheres, at, strict=True):
+            sphere.setTranslation(centre)
+        bodies.update()
+        found = fcl.CollisionData()
+        bodies.collide(world, found, fcl.defaultCollisionCallback)
+        hits += found.result.is_collision
+    return hits
+
+
+def _drake(
+    python: str,
+    folder: Path,
+    file: Path,
+    shelves: dict[str, scenes.Boxes],
+    path: Callable[[np.ndarray], np.ndarray],
+    motions: list[scenes.Planted],
+) -> dict:
+    """Return the results of `prove_drake`, run by another interpreter."""
+    paths = {
+        f"{tier} {number}": {
+            "x": path(np.linspace(0, 1, number)).tolist(),
+            "boxes": [boxes.centre.tolist(), boxes.half.tolist()],
+        }
+        for tier, boxes in shelves.items()
+        for number in PATH_SAMPLES
+    }
+    edges = [
+        {"a": one.a.tolist(), "b": one.b.tolist(), "centre": one.centre.tolist(), "radius": float(one.radius)}
+        for one in motions
+    ]
+    ignored = [[f"iiwa_link_{i}", f"iiwa_link_{j}"] for i, j in combinations(range(8), 2) if j - i > 1 or i > 0]
+    request = {"arm": str(file), "paths": paths, "edges": edges, "steps_rad": DRAKE_STEPS, "ignored": ignored}
+    (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
+    command = [python, str(Path(__file__).with_name("prove_drake.py")), str(folder / "request.json")]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)

@@ -1,0 +1,146 @@
+"""`htcp_jax.prove`: verdicts where the truth is known, paths inside corners, batches, and bad input.
+
+The arm slides along x and z and turns about y; its tool is a rod along y with a radius of 1 mm. A plate of 1 mm at
+x = 0.213 m has a slot of 3 mm at z = 0, and a ball of 0.3 mm hangs at z = 0.5 m, between two of 1,000 samples of a
+motion along x.
+"""
+
+import jax
+import made_once
+import numpy as np
+import pytest
+
+import htcp_jax
+from htcp_jax.clearance import Scene
+from htcp_jax.errors import InputError
+from htcp_jax.proving import JointCurves, corners, prove_curves, scene_of, straight
+from htcp_jax.status import SegmentStatus
+
+VALID, IN_COLLISION, UNDECIDED = SegmentStatus.VALID, SegmentStatus.IN_COLLISION, SegmentStatus.UNDECIDED
+ARM = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-2 2"/>
+<body><joint name="z" type="slide" axis="0 0 1" range="-1 1"/><body><joint name="r" axis="0 1 0" range="-3 3"/>
+<geom name="rod" type="capsule" fromto="0 -0.15 0 0 0.15 0" size="0.001"/><site name="tcp"/>
+</body></body></body></worldbody></mujoco>"""
+ROD_M, BALL_M = 0.001, 0.0003
+BETWEEN = -1 + 2 * 299.5 / 999  # x of the ball: between two of 1,000 samples from -1 to 1 m
+CELL = f"""<mujoco><worldbody>
+<geom name="above" type="box" pos="0.213 0 0.1015" size="0.0005 0.5 0.1"/>
+<geom name="below" type="box" pos="0.213 0 -0.1015" size="0.0005 0.5 0.1"/>
+<geom name="ball" type="sphere" pos="{BETWEEN} 0 0.5" size="{BALL_M}"/>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory) -> dict:
+    folder = tmp_path_factory.mktemp("cell")
+    for name, text in (("arm", ARM), ("cell", CELL)):
+        (folder / f"{name}.xml").write_text(text)
+    return {"robot": {"model": f"{folder}/arm.xml"}, "cell": {"model": f"{folder}/cell.xml", "self_collision": False}}
+
+
+@pytest.fixture(scope="module")
+def problem(job):
+    return scene_of(job).problem
+
+
+def past_the_ball(depth_m: float) -> np.ndarray:
+    """A motion along x whose rod is `depth_m` deep in the ball."""
+    z = 0.5 + ROD_M + BALL_M - depth_m
+    return np.array([[-1, z, 0], [1, z, 0]])
+
+
+@pytest.mark.parametrize("depth_mm", [0.01, 0.1, 0.3])
+def test_a_collision_between_two_of_1000_samples_is_refuted_and_a_miss_by_as_much_is_proven(problem, depth_mm):
+    hit, miss = past_the_ball(1e-3 * depth_mm), past_the_ball(-1e-3 * depth_mm)
+    samples = hit[0] + np.arange(1000)[:, None] / 999 * (hit[1] - hit[0])
+    apart = np.hypot(samples[:, 0] - BETWEEN, samples[:, 1] - 0.5) - ROD_M - BALL_M
+    assert apart.min() > 0
+    found = prove_curves(problem, straight(np.concatenate([hit, miss])[[0, 1, 3, 2]]), kept=0.0)
+    assert found.verdict[[0, 2]].tolist() == [IN_COLLISION, VALID]
+    assert abs(-1 + 2 * found.place[0] - BETWEEN) < ROD_M + BALL_M
+
+
+def test_a_plate_of_1_mm_and_a_slot_of_3_mm_are_decided_within_60_queries(problem):
+    scene = Scene(problem.robot, problem.obstacles)
+    where = jax.tree.map(lambda leaf: leaf[0], problem.scenarios)
+    for z, verdict in ((0.1, IN_COLLISION), (0.0, VALID)):
+        found = made_once.prove(scene, where, np.array([-0.3, z, 0.0]), np.array([0.413, z, 0.0]))
+        assert int(found.verdict) == verdict and int(found.queries) <= 60
+
+
+def test_motions_have_the_same_results_alone_and_in_a_batch(job, problem):
+    x = np.stack([past_the_ball(depth) for depth in (1e-5, -1e-5, 1e-4, -1e-2)])
+    together = htcp_jax.prove(job, x)
+    assert together.refuted.tolist() == [True, False, True, False]
+    assert together.proven.tolist() == [False, True, False, True]
+    for k, each in enumerate(x):
+        alone = htcp_jax.prove(job, each)
+        for name in ("verdict", "clearance_m", "place", "queries"):
+            assert np.array_equal(getattr(alone, name), getattr(together, name)[k], equal_nan=True)
+
+
+def test_a_segment_is_undecided_if_the_servo_may_reach_an_obstacle_and_below_the_margin_if_it_is_nearer(job):
+    x = past_the_ball(-1e-3)  # misses by 1 mm
+    lag = [0.0, 2e-3, 0.0]
+    assert htcp_jax.prove(job, x, tracking_rad=[0.0, 5e-4, 0.0]).proven
+    assert htcp_jax.prove(job, x, tracking_rad=lag).verdict.tolist() == [UNDECIDED]
+    assert htcp_jax.prove(job, past_the_ball(1e-4), tracking_rad=lag).refuted
+    assert htcp_jax.prove(job, x, margin_m=2e-3).verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
+    assert 5e-4 <= htcp_jax.prove(job, x, margin_m=5e-4).guaranteed_m <= 1e-3
+
+
+def tcp_of(x: np.ndarray) -> np.ndarray:
+    return np.stack([x[:, 0], np.zeros(len(x)), x[:, 1]], axis=1)
+
+
+def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
+    rng = np.random.default_rng(0)
+    x = np.array([[0.0, 0.0, 0.1], [0.3, 0.1, -0.4], [0.2, 0.6, 0.7], [0.9, 0.5, 0.0]])
+    radius = np.array([1.0, 0.05, 0.2, 1.0])
+    found = corners(x, radius, tcp_of)
+    for k in (1, 2):
+        bands = JointCurves(*(part[(found.segment == k - 1) & ~found.is_certain] for part in found))
+        ends = [leg[(np.linalg.norm(leg[:, :2] - x[k, :2], axis=1) <= radius[k])][-1] for leg in legs(x, k)]
+        u, v = rng.random((2, 2000))
+        inside = x[k] + u[:, None] * ((1 - v)[:, None] * (ends[0] - x[k]) + v[:, None] * (ends[1] - x[k]))
+        start, step = bands.coefficients[:, 0], bands.coefficients[:, 1]
+        # Is a point within the tolerance of a band at any place? The distance is linear in the place for each joint.
+        s = np.linspace(0, 1, 2001)
+        near = np.zeros(len(inside), bool)
+        for at, along, off in zip(start, step, bands.off, strict=True):
+            path = at + s[:, None] * along
+            near |= (np.abs(inside[:, None] - path[None]) <= off + 1e-3 * np.abs(along) + 1e-12).all(axis=2).any(axis=1)
+        assert near.all()
+    certain = JointCurves(*(part[found.is_certain] for part in found))
+    assert certain.segment.tolist() == [0, 1, 2] and (certain.span[:, 1] < 1).tolist() == [True, True, False]
+
+
+def legs(x: np.ndarray, k: int) -> list[np.ndarray]:
+    """Halves of both legs at a corner, as samples that begin at the corner."""
+    s = np.linspace(0, 0.5, 5001)[:, None]
+    return [x[k] + s * (x[other] - x[k]) for other in (k - 1, k + 1)]
+
+
+def test_a_path_inside_a_corner_that_may_collide_makes_the_segment_undecided(problem):
+    corner = np.array([BETWEEN, 0.5 - 0.01, 0.0])  # the ball is 10 mm above the corner, inside the triangle
+    x = np.stack([corner + np.array([-0.1, 0.1, 0]), corner, corner + np.array([0.1, 0.1, 0])])
+    assert prove_curves(problem, straight(x)).proven
+    rounded = prove_curves(problem, corners(x, np.array([0, 0.05, 0]), tcp_of))
+    assert rounded.verdict.tolist() == [UNDECIDED, VALID] and not rounded.refuted
+    assert prove_curves(problem, corners(x, np.array([0, 0.005, 0]), tcp_of)).proven
+
+
+@pytest.mark.parametrize(
+    ("x", "options", "message"),
+    [
+        (np.zeros((2, 4)), {}, "shape"),
+        (np.zeros((1, 3)), {}, "shape"),
+        (np.array([[0, 0, 0], [0, np.nan, 0]]), {}, "z at index"),
+        (np.zeros((2, 3)), {"tracking_rad": -1.0}, "tracking_rad"),
+        (np.zeros((2, 3)), {"tracking_rad": [0.1, 0.1]}, "tracking_rad"),
+        (np.zeros((2, 3)), {"margin_m": np.nan}, "margin_m"),
+    ],
+)
+def test_invalid_motions_and_options_are_refused_with_a_reason(job, x, options, message):
+    with pytest.raises(InputError, match=message):
+        htcp_jax.prove(job, x, **options)
