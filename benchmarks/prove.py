@@ -44,7 +44,7 @@ def main() -> int:
             "planted": lambda: planted(requested.planted, folder),
             "slot": lambda: slot(folder),
             "throughput": lambda: throughput(data, folder, requested.motions),
-            "sampled": lambda: sampled(data, folder, requested.planted, requested.drake),
+            "sampled": lambda: sampled(data, folder, requested.drake),
         }
         for case in requested.only or CASES:
             if case == "shelf" and not (data / "drake_ccd").exists():

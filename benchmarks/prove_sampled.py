@@ -11,7 +11,7 @@ import json
 import subprocess
 import time
 from collections.abc import Callable, Sequence
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 
 import fcl
@@ -50,11 +50,11 @@ def samples_of(robot: Robot, step: Float[np.ndarray, "m N"]) -> dict[str, Int[np
     return {name: np.maximum(np.ceil(count), 1).astype(int) for name, count in parts.items()}
 
 
-def sampled(data: Path, folder: Path, count: int, drake: str | None) -> list[Table]:
+def sampled(data: Path, folder: Path, drake: str | None) -> list[Table]:
     """Compare sampled checks with proofs; without data, only on our own planners' motions."""
     tables = [_planned()]
     if (data / "drake_ccd").exists():
-        tables += _shelf_tables(data / "drake_ccd", folder, count, drake)
+        tables += _shelf_tables(data / "drake_ccd", folder, drake)
     return tables
 
 
@@ -124,25 +124,15 @@ def _planned() -> Table:
 # Drake's arm
 
 
-def _shelf_tables(data: Path, folder: Path, count: int, drake: str | None) -> list[Table]:
+def _shelf_tables(data: Path, folder: Path, drake: str | None) -> list[Table]:
     file = scenes.without_meshes(data, folder)
     model, arm = scenes.imported(file, folder), scenes.reference_of(file)
     boxes = scenes.shelf(data, "10")
-    robot = {"model": str(model)}
-    problem = scene_of(
-        {"robot": robot, "cell": {"model": scenes.box_cell(boxes, folder / "shelf.xml"), "self_collision": True}}
-    ).problem
-    a, b = _edges(problem)
-    rows = _rows("random edges of up to 1 rad, shelf", [(problem, a, b)])
-    rng, limits = np.random.default_rng(SEED), (np.asarray(problem.robot.lower), np.asarray(problem.robot.upper))
-    motions = [scenes.plant(arm, limits, depth, rng) for depth in scenes.depths(count, rng)]
-    parts = []
-    for k, one in enumerate(motions):
-        cell = {"model": scenes.ball_cell(one.centre, one.radius, folder / f"ball {k}.xml"), "self_collision": False}
-        parts.append((scene_of({"robot": robot, "cell": cell}).problem, one.a[None], one.b[None]))
-    rows += _rows("planted, a ball", parts)
-    others = _others(data, folder, file, arm, motions, drake)
-    return [Table("iiwa 14 with 46 spheres", HEAD, rows), *others]
+    cell = {"model": scenes.box_cell(boxes, folder / "shelf.xml"), "self_collision": True}
+    problem = scene_of({"robot": {"model": str(model)}, "cell": cell}).problem
+    edges = _edges(problem)
+    rows = _rows("random edges of up to 1 rad, shelf", [(problem, *edges)])
+    return [Table("iiwa 14 with 46 spheres", HEAD, rows), *_others(data, folder, file, arm, boxes, edges, drake)]
 
 
 def _edges(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -157,12 +147,18 @@ def _edges(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _others(
-    data: Path, folder: Path, file: Path, arm: ChainArm, motions: list[scenes.Planted], drake: str | None
+    data: Path,
+    folder: Path,
+    file: Path,
+    arm: ChainArm,
+    shelf: scenes.Boxes,
+    edges: tuple[np.ndarray, np.ndarray],
+    drake: str | None,
 ) -> list[Table]:
-    """Return sampled checks of FCL and Drake on the path into the shelf and on planted motions."""
+    """Return sampled checks of FCL and Drake on the path into the shelf, and of Drake on random edges."""
     path = scenes.along(scenes.quintics(*scenes.waypoints(data)))
     shelves = {tier: scenes.shelf(data, tier) for tier in ("02", "00")}
-    on_path, on_edges = [], []
+    on_path = []
     for tier, boxes in shelves.items():
         shapes = [(fcl.Box(*(2 * half)), centre) for centre, half in zip(*boxes[1:], strict=True)]
         for number in PATH_SAMPLES:
@@ -170,26 +166,18 @@ def _others(
             hits = _fcl_hits(arm, path(np.linspace(0, 1, number)), shapes)
             spent = 1e3 * (time.perf_counter() - began)
             on_path.append((f"{int(tier)} mm", "python-fcl", f"{number:,}", str(hits), f"{spent:.0f}"))
-    for number in (101, scenes.GRID):
-        began, missed, s = time.perf_counter(), 0, np.linspace(0, 1, number)[:, None]
-        for one in motions:
-            ball = [(fcl.Sphere(one.radius), one.centre)]
-            missed += _fcl_hits(arm, one.a + s * (one.b - one.a), ball) == 0
-        spent = 1e3 * (time.perf_counter() - began) / len(motions)
-        on_edges.append(("python-fcl", f"{number:,} samples", f"{missed} of {len(motions)}", f"{spent:.1f}"))
+    on_edges = []
     if drake is not None:
-        found = _drake(drake, folder, file, shelves, path, motions)
-        name = f"Drake {found['version']}"
+        found = _drake(drake, folder, file, shelves, path, shelf, edges)
+        name, count = f"Drake {found['version']}", len(edges[0])
         for key, one in found["paths"].items():
             tier = f"{int(key.split()[0])} mm"
             on_path.append((tier, name, f"{one['samples']:,}", str(one["collide"]), f"{one['ms']:.0f}"))
         for step, one in found["edges"].items():
-            missed = f"{sum(one['free'])} of {len(motions)}"
-            on_edges.append((name, f"edge_step_size {step} rad", missed, f"{one['ms']:.1f}"))
-    return [
-        Table("Path into the shelf by samples", ("tier", "checker", "samples", "in collision", "ms"), on_path),
-        Table("Planted collisions by samples", ("checker", "resolution", "missed", "ms each"), on_edges),
-    ]
+            on_edges.append((name, f"edge_step_size {step} rad", f"{one['free']:,} of {count:,}", f"{one['ms']:.2f}"))
+    tables = [Table("Path into the shelf by samples", ("tier", "checker", "samples", "in collision", "ms"), on_path)]
+    head = "checker", "resolution", "called free", "ms each"
+    return tables + ([Table("Random edges by samples", head, on_edges)] if on_edges else [])
 
 
 PATH_SAMPLES = 601, 6001
@@ -223,23 +211,21 @@ def _drake(
     file: Path,
     shelves: dict[str, scenes.Boxes],
     path: Callable[[np.ndarray], np.ndarray],
-    motions: list[scenes.Planted],
+    shelf: scenes.Boxes,
+    edges: tuple[np.ndarray, np.ndarray],
 ) -> dict:
     """Return the results of `prove_drake`, run by another interpreter."""
     paths = {
-        f"{tier} {number}": {
-            "x": path(np.linspace(0, 1, number)).tolist(),
-            "boxes": [boxes.centre.tolist(), boxes.half.tolist()],
-        }
+        f"{tier} {number}": {"x": path(np.linspace(0, 1, number)).tolist(), "boxes": _listed(boxes)}
         for tier, boxes in shelves.items()
         for number in PATH_SAMPLES
     }
-    edges = [
-        {"a": one.a.tolist(), "b": one.b.tolist(), "centre": one.centre.tolist(), "radius": float(one.radius)}
-        for one in motions
-    ]
-    ignored = [[f"iiwa_link_{i}", f"iiwa_link_{j}"] for i, j in combinations(range(8), 2) if j - i > 1 or i > 0]
-    request = {"arm": str(file), "paths": paths, "edges": edges, "steps_rad": DRAKE_STEPS, "ignored": ignored}
+    asked = {"a": edges[0].tolist(), "b": edges[1].tolist(), "boxes": _listed(shelf)}
+    request = {"arm": str(file), "paths": paths, "edges": asked, "steps_rad": DRAKE_STEPS}
     (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
     command = [python, str(Path(__file__).with_name("prove_drake.py")), str(folder / "request.json")]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def _listed(boxes: scenes.Boxes) -> list[list]:
+    return [boxes.centre.tolist(), boxes.half.tolist()]
