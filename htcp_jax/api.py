@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from htcp_jax import jobs, runs
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, with_own_tool
@@ -165,19 +164,7 @@ class Plan:
 
     def _checked(self) -> dict[str, str]:
         """Return lines for the checked bodies, self-collision pairs and fixtures; fixtures on links come first."""
-        own = [each.described(self.robot) for each in self.obstacles if isinstance(each, SelfCollision)]
-        names = [self.robot.capsule_names[k] for k in self.robot.attached]
-        names += [name for each in self.obstacles for name in each.names if name]
-        facts = {"self-collision": own[0]} if own else {}
-        unchecked = [f"{', '.join(self.robot.omitted)}: omitted from the model"] if self.robot.omitted else []
-        if self.robot.ignored_geoms and self.job.tree is None:
-            ignored = ", ".join(self.robot.ignored_geoms)
-            unchecked.append(f"{ignored}: no capsule or sphere; convert the arm with htcp robot")
-        if unchecked:
-            facts = {"not checked": "; ".join(unchecked)} | facts
-        if self.robot.pieces is not None:
-            facts = {"bodies": f"{len(self.robot.capsule_names)} capsules, and convex pieces where in doubt"} | facts
-        return facts | ({"fixtures": ", ".join(names)} if names else {})
+        return jobs.build.checked_facts(self.robot, self.obstacles, is_tree=self.job.tree is not None)
 
     def _details(self) -> dict[str, str]:
         end = self.outcome

@@ -33,6 +33,7 @@ WORDS = {
     "robot": f"robot {GP50} --out out/capsules.xml",
     "cell": f"cell {GP50} --tool tcp --part link1 --out out/cell.xml",
     "sweep": "sweep grid.yaml --methods baseline --shard 2 --out out",
+    "prove": "prove plan/motion.csv --job job.yaml --out out",
     "report": "report run --out out",
     "validate": "validate run",
     "view": "view plan --port 0",

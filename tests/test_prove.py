@@ -144,3 +144,22 @@ def test_a_path_inside_a_corner_that_may_collide_makes_the_segment_undecided(pro
 def test_invalid_motions_and_options_are_refused_with_a_reason(job, x, options, message):
     with pytest.raises(InputError, match=message):
         htcp_jax.prove(job, x, **options)
+
+
+def test_bodies_that_are_not_checked_are_named_in_a_warning_and_in_the_result(job, tmp_path):
+    boxed = ARM.replace('<site name="tcp"/>', '<geom name="block" type="box" size="0.1 0.1 0.1"/><site name="tcp"/>')
+    (tmp_path / "boxed.xml").write_text(boxed)
+    with pytest.warns(UserWarning, match="not checked: block: no capsule or sphere"):
+        found = scene_of(job | {"robot": {"model": f"{tmp_path}/boxed.xml"}})
+    assert found.checked["not checked"].startswith("block: ")
+    assert scene_of(job).checked == {"part": "none", "self-collision": "not checked", "fixtures": "ball, above, below"}
+
+
+def test_shapes_of_a_cell_in_millimetres_cause_a_warning(job, tmp_path):
+    (tmp_path / "cell.xml").write_text(CELL.replace("0.0005 0.5 0.1", "0.5 500 100", 1))
+    with pytest.warns(UserWarning, match=r"above extends over 1e\+03 m"):
+        scene_of(job | {"cell": {"model": f"{tmp_path}/cell.xml"}})
+
+
+def test_a_job_without_walls_needs_no_path(job):
+    assert not scene_of(job | {"workpiece": {"cloud": "none"}}).has_part

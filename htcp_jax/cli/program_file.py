@@ -124,7 +124,7 @@ def refusal(proof: ProgramProof) -> str:
     where = f"lines {motion.line[contact.segment]} to {motion.line[contact.segment + 1]}"
     moves = f"the motion of the file, {motion.interpolation} between its configurations"
     if contact.clearance_m <= 0:
-        return f"{moves}, collides at {where}: {contact.body} is {_mm(-contact.clearance_m)} inside {contact.other}"
+        return f"{moves}, collides at {where}: {contact.body} is {contact.depth} inside {contact.other}"
     return f"{moves}, is not proven at {where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
 
 

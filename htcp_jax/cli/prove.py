@@ -203,6 +203,7 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
         notes.append("The file has velocities; --interpolation cubic proves the curve that keeps them.")
     if notes:
         facts["notes"] = " ".join(notes)
+    facts |= found.scene.checked
     facts["required"] = (
         f"clearance above {1e3 * found.margin_m:g} mm"
         if found.margin_m == 0

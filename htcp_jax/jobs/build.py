@@ -14,7 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import PlacedCloud, given_obstacles, make_fixtures, make_self_collision, placed_cloud
+from htcp_jax.clearance.obstacles import (
+    PlacedCloud,
+    SelfCollision,
+    given_obstacles,
+    make_fixtures,
+    make_self_collision,
+    placed_cloud,
+)
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
@@ -318,6 +325,9 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         if shape.kind == "mesh":
             corners = shape.triangles.reshape(-1, 3)
             parts.check_cell_extent(robot, corners, shape.name, f"the scale of its mesh in {cell.model}")
+        elif shape.kind != "plane":
+            ends = np.outer([-1.0, 1.0], np.max(shape.size) * np.ones(3))
+            parts.check_cell_extent(robot, ends, shape.name, f"its size in {cell.model}, in metres")
     clouds = tuple(_cell_cloud(each, T, standing, robot) for each, T in standing.clouds)
     own = make_self_collision(robot) if cell.self_collision else None
     given = given_obstacles(cell.obstacles)
@@ -327,6 +337,29 @@ def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:
         *given,
         *(() if own is None else (own,)),
     )
+
+
+def checked_facts(robot: Robot, obstacles: Obstacles, *, is_tree: bool = False) -> dict[str, str]:
+    """Return what is checked as text by label: bodies, pairs for self-collision, fixtures; and what is not checked.
+
+    Args:
+        robot: The robot.
+        obstacles: Obstacles in addition to the workpiece.
+        is_tree: True if the job composes the robot of several models.
+    """
+    own = [each.described(robot) for each in obstacles if isinstance(each, SelfCollision)]
+    names = [robot.capsule_names[k] for k in robot.attached]
+    names += [name for each in obstacles for name in each.names if name]
+    facts = {"self-collision": own[0]} if own else {}
+    unchecked = [f"{', '.join(robot.omitted)}: omitted from the model"] if robot.omitted else []
+    if robot.ignored_geoms and not is_tree:
+        ignored = ", ".join(robot.ignored_geoms)
+        unchecked.append(f"{ignored}: no capsule or sphere; convert the arm with htcp robot")
+    if unchecked:
+        facts = {"not checked": "; ".join(unchecked)} | facts
+    if robot.pieces is not None:
+        facts = {"bodies": f"{len(robot.capsule_names)} capsules, and convex pieces where in doubt"} | facts
+    return facts | ({"fixtures": ", ".join(names)} if names else {})
 
 
 def _cell_cloud(

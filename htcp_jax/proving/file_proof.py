@@ -38,7 +38,6 @@ from htcp_jax.spec import ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
 
 MOST_CONTACTS = 200  # refuted and undecided segments of which the deepest contact is measured
-COUNTED = {"npy": "row", "npz": "row", "ros": "point", "ros-json": "point", "keyframes": "key"}  # else lines
 WITHOUT_LIMITS = "the joint limits are not checked, as the file has no joint values"
 Progress = Callable[[str, int, int], None]
 
@@ -83,7 +82,7 @@ class FileProof:
     @property
     def counted(self) -> str:
         """Unit of `motion.line`: "line", "row", "point" or "key"."""
-        return COUNTED.get(self.motion.format, "line")
+        return self.motion.counted
 
     def time_at(self, segment: int, share: float) -> float | None:
         """Return the time at a share of a segment [s]; None if the file has no times."""
@@ -174,7 +173,9 @@ def prove_file(
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
-        chosen = np.sort(unproven[:MOST_CONTACTS]).tolist()
+        # Of a proven motion, the bodies at its guaranteed clearance are named.
+        smallest = [int(proof.clearance_m.argmin())] if proof.proven and np.isfinite(proof.guaranteed_m) else []
+        chosen = smallest or np.sort(unproven[:MOST_CONTACTS]).tolist()
         contacts = deepest_contacts(problem, curves, chosen, lambda done, count: progress("contacts", done, count))
         limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)

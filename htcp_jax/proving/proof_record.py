@@ -115,14 +115,15 @@ def headline(found: FileProof) -> str:
         if math.isinf(found.guaranteed_m):
             return "proven: nothing is there to collide with"
         k = int(found.proof.clearance_m.argmin())
-        return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}"
+        pair = "" if (near := found.contacts.get(k)) is None else f": {near.body} next to {near.other}"
+        return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
     group = unproven_groups(found)[0]
     if group.deepest is None:
         return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
     contact = found.contacts[group.deepest]
     where = f"{found.verdict}: {_where(found, group.deepest, contact.place)}"
     if contact.clearance_m <= 0:
-        return f"{where}: {contact.body} is {_mm(-contact.clearance_m)} inside {contact.other}"
+        return f"{where}: {contact.body} is {contact.depth} inside {contact.other}"
     apart = f"{where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
     return f"{apart}, less than the margin of {_mm(found.margin_m)}" if found.verdict == "refuted" else apart
 
@@ -155,6 +156,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "verdict": found.verdict,
         "headline": headline(found),
         "exit_code": exit_code(found),
+        "checked": dict(found.scene.checked),
         "robot": found.robot,
         "joints": list(found.joints),
         "format": motion.format,

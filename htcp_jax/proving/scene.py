@@ -1,5 +1,6 @@
 """The scene in which motions are proven: a job's robot, part, cell and task, as a `Problem` of one scenario."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,14 @@ class ProofScene(NamedTuple):
     job: PlanConfig | None  # the job, resolved; None: the scene was made from a robot
     has_part: bool  # False: no workpiece, and no path
 
+    @property
+    def checked(self) -> dict[str, str]:
+        """What a motion is proven against, as text by label, and what is not checked."""
+        part = self.problem.workpiece.name if self.has_part else "none"
+        is_tree = self.job is not None and self.job.tree is not None
+        facts = jobs.build.checked_facts(self.problem.robot, self.problem.other_obstacles, is_tree=is_tree)
+        return {"part": part} | {"self-collision": "not checked", "fixtures": "none"} | facts
+
 
 def scene_of(
     cell: Cell = None,
@@ -40,7 +49,8 @@ def scene_of(
 ) -> ProofScene:
     """Return the scene of a job, or of a robot and obstacles.
 
-    A job that states its robot or cell, but no section `workpiece`, has no part. A start is not needed.
+    A job that states its robot or cell, but no section `workpiece`, has no part, as has one with `cloud: none` and no
+    path. A start is not needed. A UserWarning names bodies that are not checked.
 
     Args:
         cell: A robot, or a job: a YAML file, the name of an example, a mapping of a file's keys, or a loaded job, which
@@ -55,29 +65,44 @@ def scene_of(
     """
     first = devices.choose(device)[0]
     with devices.on(first):
-        if isinstance(cell, Robot):
-            if overrides or task is not None:
-                raise InputError("overrides and task rows change a job; pass a job in place of the robot")
-            return ProofScene(_without_part(cell, obstacles, None, device), None, False)
-        built = tuple(each for each in obstacles if isinstance(each, Obstacle))
-        kinds = [each for each in obstacles if not isinstance(each, Obstacle)]
-        is_loaded = isinstance(cell, PlanConfig)
-        job = with_kinds(cell if is_loaded else load_config(cell, overrides), kinds, task)
-        source = "the job" if is_loaded else source_of(cell)
-        job = job.model_copy(update={"settings": job.settings.on(first.platform)})
-        if job.start_rad == ():
-            job = job.model_copy(update={"start_rad": "auto"})
-        job, robot = jobs.build.with_robot(job, source)
-        others = (*jobs.build.obstacles_of(job.cell, robot), *built)
-        stated = job.model_fields_set
-        if is_loaded or "workpiece" in stated or not stated & {"robot", "cell"}:
-            workpiece = jobs.build.workpiece_of(job.workpiece, robot)
-            there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
-            own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)
-            found = Problem.of(robot, workpiece, there, job.settings, own_task, others, execution, check_paths=False)
-            return ProofScene(found, job, True)
-        longer = robots.lengthen_tool(robot, job.robot.tool_extension_m)
-        return ProofScene(_without_part(longer, others, job, device), job, False)
+        found = _scene(cell, overrides, obstacles, task, device)
+    if "not checked" in found.checked:
+        warnings.warn(f"not checked: {found.checked['not checked']}", stacklevel=1)
+    return found
+
+
+def _scene(
+    cell: Cell,
+    overrides: Sequence[str] | Mapping[str, Any],
+    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]],
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
+    device: str | None,
+) -> ProofScene:
+    """Return the scene, see `scene_of`."""
+    if isinstance(cell, Robot):
+        if overrides or task is not None:
+            raise InputError("overrides and task rows change a job; pass a job in place of the robot")
+        return ProofScene(_without_part(cell, obstacles, None, device), None, False)
+    built = tuple(each for each in obstacles if isinstance(each, Obstacle))
+    kinds = [each for each in obstacles if not isinstance(each, Obstacle)]
+    is_loaded = isinstance(cell, PlanConfig)
+    job = with_kinds(cell if is_loaded else load_config(cell, overrides), kinds, task)
+    source = "the job" if is_loaded else source_of(cell)
+    job = job.model_copy(update={"settings": job.settings.on(devices.choose(device)[0].platform)})
+    if job.start_rad == ():
+        job = job.model_copy(update={"start_rad": "auto"})
+    job, robot = jobs.build.with_robot(job, source)
+    others = (*jobs.build.obstacles_of(job.cell, robot), *built)
+    stated = job.model_fields_set
+    has_path = job.workpiece.has_cloud or "path" in job.workpiece.model_fields_set
+    if has_path and (is_loaded or "workpiece" in stated or not stated & {"robot", "cell"}):
+        workpiece = jobs.build.workpiece_of(job.workpiece, robot)
+        there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
+        own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)
+        found = Problem.of(robot, workpiece, there, job.settings, own_task, others, execution, check_paths=False)
+        return ProofScene(found, job, True)
+    longer = robots.lengthen_tool(robot, job.robot.tool_extension_m)
+    return ProofScene(_without_part(longer, others, job, device), job, False)
 
 
 def _without_part(

@@ -22,6 +22,12 @@ class Contact(NamedTuple):
     body: str  # label of the body
     other: str  # name of the obstacle or the other body
     clearance_m: float  # D; below 0 in collision [m]
+    is_capsule: bool = False  # True: a depth is that of the capsule about a convex piece, an upper bound
+
+    @property
+    def depth(self) -> str:
+        """The depth as text."""
+        return f"{'at most ' if self.is_capsule else ''}{-1e3 * self.clearance_m:.3g} mm"
 
 
 def deepest_contact(problem: Problem, curves: JointCurves, segment: int) -> Contact:

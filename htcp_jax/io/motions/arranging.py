@@ -30,10 +30,8 @@ def arranged(source: Source, rows: Rows, format: str, requested: str | None) -> 
     if rows.poses is not None:
         if not len(rows.poses):
             raise InputError(f"{source.file} contains no position")
-        nothing = np.zeros((0, source.robot.dof))
-        return MotionFile(
-            nothing, None, None, None, None, rows.line, None, interpolation, format, rows.notes, rows.poses
-        )
+        nothing, about = np.zeros((0, source.robot.dof)), (interpolation, format, rows.notes, rows.poses, rows.counted)
+        return MotionFile(nothing, None, None, None, None, rows.line, None, *about)
     if not len(rows.values):
         raise InputError(f"{source.file} contains no configuration")
     for what, array in (("value", rows.values), ("velocity", rows.velocity), ("acceleration", rows.acceleration)):
@@ -48,7 +46,8 @@ def arranged(source: Source, rows: Rows, format: str, requested: str | None) -> 
     _check_times(source, rows)
     x, columns = _configurations(source, rows)
     rates = [None if rate is None else rate[:, columns] for rate in (rows.velocity, rows.acceleration)]
-    return MotionFile(x, rows.time_s, *rates, rows.corner_m, rows.line, rows.kind, interpolation, format, rows.notes)
+    about = rows.kind, interpolation, format, rows.notes
+    return MotionFile(x, rows.time_s, *rates, rows.corner_m, rows.line, *about, counted=rows.counted)
 
 
 def _interpolation(source: Source, rows: Rows, requested: str | None) -> str:

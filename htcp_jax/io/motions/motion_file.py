@@ -26,6 +26,7 @@ class MotionFile(NamedTuple):
     format: str  # name of the format
     notes: tuple[str, ...]  # assumptions of the reader and what it did not use, one sentence each
     poses: Float[np.ndarray, "n 4 4"] | None = None  # the TCP's, of formats with poses only [m]; `x` has no rows then
+    counted: str = "line"  # what `line` counts: "line", "point", "key" or "row"
 
 
 def polynomials(motion: MotionFile) -> Float[np.ndarray, "m K N"]:
