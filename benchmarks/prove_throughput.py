@@ -40,7 +40,7 @@ def throughput(data: Path, folder: Path, motions: int) -> list[Table]:
         figures = f"{seconds:.2f}", f"{1e6 * seconds / count:.1f}", f"{count / seconds:,.0f}"
         rows.append((str(kept), f"{count:,}", f"{proven:,}", refuted, *figures))
     head = "kept share", "segments", "proven", "refuted", f"s, best of {RUNS}", "us a segment", "segments a second"
-    points = f"{len(problem.workpiece.points):,} points"
+    points = f"{len(problem.workpiece.cloud):,} points"
     return [Table(f"{motions:,} motions of {SEGMENTS} segments, eight joints, {points}, {SOLIDS} solids", head, rows)]
 
 
