@@ -13,7 +13,7 @@ from test_joint_path import rail
 
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof.bisection import PathVerdict, Proof
-from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, tcp_sweep
+from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, JointSweep, tcp_sweep
 from htcp_jax.clearance.proof.motion_proof import DEEPEST, Tube
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.model.kinematics import jacobian, tcp_position
@@ -100,7 +100,7 @@ def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
     for _ in range(300):
         x, half = rng.uniform(-2, 2, n), rng.uniform(0, 0.5) * rng.integers(0, 2)
         rates = rng.normal(size=n) * rng.integers(0, 2, n)
-        most = float(sweep(robot, jnp.asarray(x), jnp.asarray(rates), half).bend)
+        most = float(sweep(robot, jnp.asarray(x), JointSweep(jnp.asarray(rates), half)).bend)
         there = x + half * rates * rng.uniform(-1, 1)
         bend = float(np.linalg.norm(second(jnp.asarray(there), jnp.asarray(rates))))
         assert bend <= most + 1e-9
@@ -113,7 +113,7 @@ def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
 def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
     """Check a slide alone, and before a hinge, where it does not change the bound."""
     robot, sweep = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_sweep)
-    of = lambda *rates: float(sweep(robot, jnp.zeros(3), jnp.array(rates), 0.3).bend)  # noqa: E731
+    of = lambda *rates: float(sweep(robot, jnp.zeros(3), JointSweep(jnp.array(rates), 0.3)).bend)  # noqa: E731
     assert of(1.0, 0.0, 0.0) == 0.0 and of(1.0, 0.5, 0.2) == of(0.0, 0.5, 0.2) > 0
 
 
