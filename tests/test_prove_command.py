@@ -4,6 +4,8 @@ All commands prove the same scene, so that its functions are compiled once.
 """
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -251,3 +253,11 @@ def test_a_job_without_a_part_names_the_fixture_and_is_played(tmp_path, capsys):
     assert "inside the fixture 'box'" in printed.splitlines()[0] and "path" not in printed
     replay = replays_of_file(prove_file(file, job)).replay(0, "file")
     assert len(replay.x) == 3 and replay.clearance[2] < 0 < replay.clearance[0]
+
+
+def test_the_command_keeps_its_compiled_programs():
+    """Regression: the command imported JAX too late for the folder of compiled programs, and compiled each time."""
+    code = "from htcp_jax.cli.main import _imported; _imported('prove'); import jax"
+    shown = "; print(jax.config.jax_compilation_cache_dir)"
+    found = subprocess.run([sys.executable, "-c", code + shown], capture_output=True, text=True)
+    assert found.stdout.strip() not in ("", "None"), found.stderr

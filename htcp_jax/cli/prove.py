@@ -4,7 +4,7 @@ import math
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.text import Text
@@ -21,11 +21,9 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.errors import InputError
-from htcp_jax.report import Table
+from htcp_jax.proving import FileProof, proof_record, prove_file
+from htcp_jax.report import Table, draw_proof
 from htcp_jax.system import output_files
-
-if TYPE_CHECKING:
-    from htcp_jax.proving import FileProof
 
 LISTED = 10  # maximum number of groups of segments on the terminal
 LENGTHS, ANGLES = {"mm": 1e-3, "m": 1.0, "um": 1e-6}, {"deg": math.pi / 180, "rad": 1.0}
@@ -97,9 +95,6 @@ def prove(
     margin_m = quantity("--margin", margin, LENGTHS, "1mm")
     angle, length = _tracking(tracking)
     claim_device(device)
-    from htcp_jax.proving import proof_record, prove_file  # here, as it imports JAX
-    from htcp_jax.report import draw_proof
-
     with output_files.written_whole(out) as folder:
         with progress_bar("paths", first="reading the file and building the scene") as progress:
 
@@ -172,9 +167,7 @@ def _tracking(text: str | None) -> tuple[float, float | None]:
     )
 
 
-def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
-    from htcp_jax.proving import proof_record
-
+def _print_proof(found: FileProof, out: Path, seconds: float) -> None:
     text = proof_record.headline(found)
     stdout().print(Text.assemble((found.verdict, STYLES[found.verdict]), text.removeprefix(found.verdict)))
     if found.violated:
@@ -189,9 +182,7 @@ def _print_proof(found: "FileProof", out: Path, seconds: float) -> None:
     print_facts(f"{found.robot}: {found.file.name}", _facts(found, seconds) | {"files": str(out)})
 
 
-def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
-    from htcp_jax.proving import proof_record
-
+def _facts(found: FileProof, seconds: float) -> dict[str, str]:
     motion, tracking = found.motion, found.tracking
     facts = {
         "segments": f"{len(motion.line) - 1:,}: "
@@ -221,7 +212,7 @@ def _facts(found: "FileProof", seconds: float) -> dict[str, str]:
     return facts | {"time": f"{seconds:.1f} s; {queries:,} intervals checked"}
 
 
-def _motion_text(found: "FileProof") -> str:
+def _motion_text(found: FileProof) -> str:
     motion = found.motion
     if found.proof is None:
         return "poses of the TCP"
@@ -230,9 +221,7 @@ def _motion_text(found: "FileProof") -> str:
     return f"{motion.interpolation} interpolation in the joints{', rounded corners' if rounded else ''}, {times}"
 
 
-def _deviation_facts(found: "FileProof") -> dict[str, str]:
-    from htcp_jax.proving import proof_record
-
+def _deviation_facts(found: FileProof) -> dict[str, str]:
     if (deviation := found.deviation) is None:
         if found.near_m is None:
             return {}
@@ -257,10 +246,8 @@ def _deviation_facts(found: "FileProof") -> dict[str, str]:
     return facts | ({"task rows": "; ".join(rows) + ", at sampled places"} if rows else {})
 
 
-def unproven_table(found: "FileProof") -> Table:
+def unproven_table(found: FileProof) -> Table:
     """Return the table of refuted and undecided segments; consecutive ones with the same verdict are one row."""
-    from htcp_jax.proving import proof_record
-
     line, rows = found.motion.line, []
     groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
