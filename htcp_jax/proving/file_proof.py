@@ -31,7 +31,7 @@ from htcp_jax.proving.path_deviation import (
     pose_deviation,
     tcp_positions,
 )
-from htcp_jax.proving.prove import KEPT, MotionProof, prove_within, tighten, tracking_of
+from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -134,8 +134,7 @@ def prove_file(
         InputError: If the file, the job or an argument is invalid.
     """
     began, file = time.perf_counter(), Path(file)
-    if not 0 <= margin_m < np.inf:
-        raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
+    check_margin(margin_m)
     scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
     problem, job = scene.problem, scene.job
     data = () if job is None else (controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)

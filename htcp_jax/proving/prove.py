@@ -39,7 +39,7 @@ class MotionProof:
     verdict: Int[np.ndarray, "*M m"]  # `status.SegmentStatus`
     clearance_m: Float[np.ndarray, "*M m"]  # guaranteed clearance on all of the segment [m]; NaN if it is not proven
     place: Float[np.ndarray, "*M m"]  # share of the segment at which it is refuted or undecided [1]; NaN if proven
-    queries: Int[np.ndarray, "*M m"]  # number of checked intervals
+    queries: Int[np.ndarray, "*M m"]  # number of checked intervals, without those of paths that are not proven
 
     @property
     def proven(self) -> Bool[np.ndarray, "*M"]:
@@ -91,8 +91,7 @@ def prove(
     Raises:
         InputError: For invalid input, or configurations of the wrong number of joints or that are not finite.
     """
-    if not 0 <= margin_m < np.inf:
-        raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
+    check_margin(margin_m)
     problem = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device).problem
     x = _configurations(x, problem)
     motions, points, joints = (1, *x.shape) if x.ndim == 2 else x.shape
@@ -110,6 +109,16 @@ def prove(
         found.place.reshape(shape),
         found.queries.reshape(shape),
     )
+
+
+def check_margin(margin_m: float) -> None:
+    """Check a required clearance [m].
+
+    Raises:
+        InputError: If it is below 0 or not finite.
+    """
+    if not 0 <= margin_m < np.inf:
+        raise InputError(f"margin_m is {margin_m}; it must be 0 or more")
 
 
 def tracking_of(tracking_rad: float | Sequence[float], joints: int) -> Float[np.ndarray, "N"]:

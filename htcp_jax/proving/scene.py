@@ -32,7 +32,7 @@ class ProofScene(NamedTuple):
 
     @property
     def checked(self) -> dict[str, str]:
-        """What a motion is proven against, as text by label, and what is not checked."""
+        """Text by label: what a motion is proven against, and what is not checked."""
         part = self.problem.workpiece.name if self.has_part else "none"
         is_tree = self.job is not None and self.job.tree is not None
         facts = jobs.build.checked_facts(self.problem.robot, self.problem.other_obstacles, is_tree=is_tree)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from htcp_jax.io.motions import JointGroups
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
@@ -27,19 +28,6 @@ class Pulses(NamedTuple):
     per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]; negative for an opposite direction of rotation
     zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
     source: str  # origin of the scale, as text
-
-
-class JointGroups(NamedTuple):
-    """Indices of a motion's joints in each group of the controller, in the controller's order."""
-
-    robot: tuple[int, ...]
-    base: tuple[int, ...] = ()  # axes that carry the robot
-    station: tuple[int, ...] = ()  # axes of the positioner
-
-    @property
-    def external(self) -> tuple[int, ...]:
-        """Indices of all joints that are not in the robot's group."""
-        return self.base + self.station
 
 
 class PlannedTcp(NamedTuple):

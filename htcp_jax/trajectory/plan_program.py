@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions import coupled_axes, joint_groups
 from htcp_jax.io.robots import joints_in_file
 from htcp_jax.jobs import build
 from htcp_jax.model import Robot, joints_between, kinematics
@@ -24,7 +25,7 @@ from htcp_jax.spec import PlanConfig, config_file, feed, strict_model
 from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, Pulses, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
@@ -154,7 +155,7 @@ class PlanProgram(NamedTuple):
         if self.robot.part_moves and not format_of(format).external_axes:
             valid = ", ".join(name for name, each in FORMATS.items() if each.external_axes)
             raise InputError(f"{format} has no external axes, which a moving part needs; valid: {valid}")
-        groups = self._groups()
+        groups = joint_groups(self.job, self.robot)
         if self.robot.part_moves and format_of(format).by_group and groups is None:
             raise InputError(f"{format}: the part moves; set program.groups to the joints of robot, base and station")
         requested, speed = self.job.program, np.asarray(self.robot.speed, float)
@@ -195,22 +196,16 @@ class PlanProgram(NamedTuple):
         return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
-        own, requested = self.robot.joint_names, self.job.program.coupled
+        requested = self.job.program.coupled
         if requested and format in ("urscript", "jbi-pulses"):
             raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
+        found = coupled_axes(self.job, self.robot)
         for axis, joint in requested:
-            if wrong := [name for name in (axis, joint) if name not in own]:
-                raise InputError(f"program.coupled: {self._not_commanded(wrong[0])}")
             if between := self._followers_between(joint, axis):
                 raise InputError(
                     f"program.coupled: the arm's model has this coupling: {between} follows {joint}; remove the key"
                 )
-        return tuple((own.index(axis), own.index(joint)) for axis, joint in requested)
-
-    def _not_commanded(self, name: str) -> str:
-        """Return the reason why a name is not one of a joint that is commanded, for messages."""
-        what = "follows another joint" if name in self.robot.all_joint_names else "is not a joint"
-        return f"{name!r} {what}; valid: {', '.join(self.robot.joint_names)}"
+        return found
 
     def _followers_between(self, first: str, last: str) -> str:
         """Return the names of the joints that follow the joint `first` between it and the joint `last`."""
@@ -220,19 +215,6 @@ class PlanProgram(NamedTuple):
         between, _ = joints_between(self.robot.parents, names.index(last), names.index(first))
         with_first = np.asarray(self.robot.coupling.factors)[:, self.robot.joint_names.index(first)] != 0
         return ", ".join(names[j] for j in between if j in self.robot.followers and with_first[j])
-
-    def _groups(self) -> JointGroups | None:
-        if (requested := self.job.program.groups) is None:
-            return None
-        own, named = self.robot.joint_names, [*requested.robot, *requested.base, *requested.station]
-        if wrong := [name for name in named if name not in own]:
-            raise InputError(f"program.groups: {self._not_commanded(wrong[0])}")
-        if odd := [name for name in own if named.count(name) != 1]:
-            raise InputError(
-                f"program.groups has {odd[0]!r} {named.count(odd[0])} times; each joint must be in one group"
-            )
-        groups = requested.robot, requested.base, requested.station
-        return JointGroups(*(tuple(map(own.index, names)) for names in groups))
 
     def _pulses(self) -> Pulses | None:
         if (requested := self.job.program.pulses) is None:

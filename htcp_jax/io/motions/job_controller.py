@@ -20,12 +20,17 @@ class EncoderScale(NamedTuple):
     zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
 
 
-class ControllerGroups(NamedTuple):
-    """Indices of the robot's joints in each group of the controller, in the controller's order."""
+class JointGroups(NamedTuple):
+    """Indices of a motion's joints in each group of the controller, in the controller's order."""
 
     robot: tuple[int, ...]
-    base: tuple[int, ...] = ()
-    station: tuple[int, ...] = ()
+    base: tuple[int, ...] = ()  # axes that carry the robot
+    station: tuple[int, ...] = ()  # axes of the positioner
+
+    @property
+    def external(self) -> tuple[int, ...]:
+        """Indices of all joints that are not in the robot's group."""
+        return self.base + self.station
 
 
 class JobController(NamedTuple):
@@ -33,7 +38,7 @@ class JobController(NamedTuple):
 
     coupled: tuple[tuple[int, int], ...] = ()  # indices of a coupled axis and of the joint that is added to it
     pulses: EncoderScale | None = None
-    groups: ControllerGroups | None = None  # None: all joints are the robot's
+    groups: JointGroups | None = None  # None: all joints are the robot's
     # index of each joint of the model file, over the robot's joints, its followers and `locked`; None: same order
     in_file: tuple[int, ...] | None = None
     locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
@@ -52,23 +57,8 @@ def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> Jo
             of pulses than the robot has joints, and for a model file that cannot be read.
     """
     own, asked = robot.joint_names, job.program
-
-    def index(key: str, name: str) -> int:
-        if name not in own:
-            what = "follows another joint" if name in robot.all_joint_names else "is not a joint"
-            raise InputError(f"program.{key}: {name!r} {what}; valid: {', '.join(own)}")
-        return own.index(name)
-
-    coupled = tuple((index("coupled", axis), index("coupled", joint)) for axis, joint in asked.coupled)
-    groups = pulses = in_file = None
-    if (named := asked.groups) is not None:
-        groups = ControllerGroups(
-            *(tuple(index("groups", name) for name in names) for names in (named.robot, named.base, named.station))
-        )
-        every = [*groups.robot, *groups.base, *groups.station]
-        if odd := [name for k, name in enumerate(own) if every.count(k) != 1]:
-            count = every.count(own.index(odd[0]))
-            raise InputError(f"program.groups has {odd[0]!r} {count} times; each joint must be in one group")
+    coupled, groups = coupled_axes(job, robot), joint_groups(job, robot)
+    pulses = in_file = None
     if (scale := asked.pulses) is not None:
         zero = scale.zero_rad or (0.0,) * len(own)
         for key, values in (("per_rad", scale.per_rad), ("zero_rad", zero)):
@@ -85,3 +75,51 @@ def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> Jo
         found = joints_in_file(job.tree or job.robot.file, every_name, dict(locked))
         in_file, locked = found.order, found.locked
     return JobController(coupled, pulses, groups, in_file, locked)
+
+
+def coupled_axes(job: PlanConfig, robot: Robot) -> tuple[tuple[int, int], ...]:
+    """Return the indices of each coupled axis in a job's section `program`, and of the joint that is added to it.
+
+    Args:
+        job: The job.
+        robot: Its robot.
+
+    Raises:
+        InputError: For a joint that the robot does not command.
+    """
+    return tuple(
+        (_index(robot, "coupled", axis), _index(robot, "coupled", joint)) for axis, joint in job.program.coupled
+    )
+
+
+def joint_groups(job: PlanConfig, robot: Robot) -> JointGroups | None:
+    """Return the joints in each group of a job's controller; None if its section `program` has no groups.
+
+    Args:
+        job: The job.
+        robot: Its robot.
+
+    Raises:
+        InputError: For a joint that the robot does not command, and for one that is not in exactly one group.
+    """
+    if (named := job.program.groups) is None:
+        return None
+    names = named.robot, named.base, named.station
+    groups = JointGroups(*(tuple(_index(robot, "groups", name) for name in own) for own in names))
+    every = [*groups.robot, *groups.external]
+    for k, name in enumerate(robot.joint_names):
+        if (count := every.count(k)) != 1:
+            raise InputError(f"program.groups has {name!r} {count} times; each joint must be in one group")
+    return groups
+
+
+def _index(robot: Robot, key: str, name: str) -> int:
+    """Return the index of a joint that a key of the section `program` names.
+
+    Raises:
+        InputError: If the robot does not command the joint.
+    """
+    if name not in robot.joint_names:
+        what = "follows another joint" if name in robot.all_joint_names else "is not a joint"
+        raise InputError(f"program.{key}: {name!r} {what}; valid: {', '.join(robot.joint_names)}")
+    return robot.joint_names.index(name)

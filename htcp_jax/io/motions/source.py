@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions.job_controller import JointGroups
 from htcp_jax.model import Robot
 
 DEG = np.pi / 180
@@ -31,23 +32,6 @@ class PulseScale(Protocol):
 
 
 @runtime_checkable
-class Groups(Protocol):
-    """Indices of the joints in each group of a controller."""
-
-    @property
-    def robot(self) -> tuple[int, ...]:
-        """The robot's joints."""
-
-    @property
-    def base(self) -> tuple[int, ...]:
-        """Axes that carry the robot."""
-
-    @property
-    def station(self) -> tuple[int, ...]:
-        """Axes of the positioner."""
-
-
-@runtime_checkable
 class Controller(Protocol):
     """Controller data that a file's joint values need; `trajectory.ControllerData` has these fields."""
 
@@ -60,7 +44,7 @@ class Controller(Protocol):
         """Encoder scale."""
 
     @property
-    def groups(self) -> Groups | None:
+    def groups(self) -> JointGroups | None:
         """Joint groups; None: all joints are the robot's."""
 
     @property
