@@ -7,8 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +26,7 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
+from htcp_jax.jobs.seam_paths import is_file, points_of_seams
 from htcp_jax.model import (
     InletDirection,
     Robot,
@@ -45,7 +45,7 @@ from htcp_jax.model import (
 )
 from htcp_jax.model import robot as robots
 from htcp_jax.spec import (
-    SEAMS,
+    SEVERAL,
     CellConfig,
     CloudConfig,
     PlanConfig,
@@ -166,19 +166,23 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         )
     direction = InletDirection.WORLD_X if part.is_along_world_x else part.inlet_direction
     stated = {"inlet": part.inlet_m, "inlet_direction": direction}
+    track: dict[str, Any] = {"path": path_file(part)}
+    if part.seams:
+        points, begins = points_of_seams(part)
+        track = {"path": points, "name": part.path_label, "seam_begins": begins}
+    elif track["path"] is not None:
+        columns = {} if part.path_columns is None else part.path_columns.given
+        track |= {"path_columns": columns, "path_unit": part.path_unit, "path_angles": part.path_angles}
     workpiece = parts.load_workpiece(
         source_of(part),
-        path_file(part),
         interior=part.interior,
         interior_depth_m=part.interior_depth_m,
         tip_contact_m=part.tip_contact_m,
         pivot=part.pivot_m,
         neutral_translation=part.neutral_translation_m,
         robot=robot,
-        path_columns={} if part.path_columns is None else part.path_columns.given,
-        path_unit=part.path_unit,
-        path_angles=part.path_angles,
         origin=part.origin_m,
+        **track,
         **{name: value for name, value in stated.items() if value is not None},
     )
     body, cover_m = thinnest_nearby(robot), workpiece.covering_radius_m
@@ -210,14 +214,13 @@ def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
             f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key"
         )
     if part.is_duct:
-        return parts.GeneratedDuct(seam=part.path) if path_file(part) is None else parts.GeneratedDuct()
+        return parts.GeneratedDuct(seam=part.path) if not part.seams and path_file(part) is None else parts.GeneratedDuct()
     return parts.read_source(part.cloud, part.mesh_spacing_m, part.unit) if part.has_cloud else parts.NoCloud()
 
 
 def path_file(part: WorkpieceConfig) -> str | None:
-    """Return the name of the path's file; None if the path is a seam of the generated duct."""
-    is_seam = part.path in SEAMS or (part.is_duct and not Path(part.path).suffix)
-    return None if is_seam else part.path
+    """Return the name of the path's file; None if the path is a seam of the generated duct, or several seams."""
+    return part.path if is_file(part, part.path) else None
 
 
 @_rows_by_key()
@@ -401,5 +404,5 @@ def obstacles_key(cell: CellConfig) -> tuple:
 def walls_key(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the section `workpiece` without path and pose, as a cache key. Equal keys share the walls."""
     origin = (0.0, 0.0, 0.0)
-    path = {"path": "", "path_columns": None, "path_unit": None, "path_angles": None}
+    path = {"path": SEVERAL, "seams": (), "path_columns": None, "path_unit": None, "path_angles": None}
     return part.model_copy(update={**path, "pivot_m": origin, "neutral_translation_m": origin})

@@ -21,11 +21,13 @@ from htcp_jax.spec import (
     PlanConfig,
     TaskRowKind,
     example_or_path,
+    exclude_path_or_seams,
     layers,
     layers_of,
     merged,
     obstacle_kind,
     parse_override,
+    part_key,
     put_key,
     strict_model,
 )
@@ -71,7 +73,8 @@ def read_config(
         )
     pairs = overrides.items() if isinstance(overrides, Mapping) else map(parse_override, overrides)
     for dotted, value in pairs:
-        put_key(raw, dotted, value)
+        put_key(raw, key := part_key(dotted), value)
+        exclude_path_or_seams(raw, source, [key])
     strict_model.refuse_unknown(raw, PlanConfig, source)
     return raw, source
 

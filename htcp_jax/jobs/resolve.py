@@ -4,12 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.seam_paths import with_seams_of_files
 from htcp_jax.model import Robot
 from htcp_jax.spec import PlanConfig
 
 
 def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") -> PlanConfig:
-    """Return the job with the weights of all joints, see `with_weights`.
+    """Return the job with the weights of all joints, and all seams of its files, see `with_weights` and `with_seams`.
 
     Args:
         job: The job.
@@ -17,10 +18,16 @@ def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") ->
         source: Name of the job, for messages.
 
     Raises:
-        InputError: See `check_start`.
+        InputError: See `check_start` and `with_seams_of_files`.
     """
     check_start(job, robot, source)
-    return with_weights(job, len(robot.joint_names))
+    return with_seams(with_weights(job, len(robot.joint_names)))
+
+
+def with_seams(job: PlanConfig) -> PlanConfig:
+    """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`."""
+    part = with_seams_of_files(job.workpiece)
+    return job if part is job.workpiece else job.model_copy(update={"workpiece": part})
 
 
 def check_start(job: PlanConfig, robot: Robot, source: str) -> None:

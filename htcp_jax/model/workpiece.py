@@ -48,7 +48,7 @@ class Workpiece:
     Attributes:
         name: Name of the part.
         cloud: Points on the walls.
-        path: Points of the tool path.
+        path: Points of the tool path; several seams follow each other.
         inlet: Centre of the inlet, a via point of the approach; None: no inlet.
         pivot: Fixed point of the rotation, see `T_world`.
         neutral_translation: Translation that is applied before the rotations, see `T_world`.
@@ -61,6 +61,7 @@ class Workpiece:
         covering_radius_m: Largest distance from any point of the mesh to the nearest point of the cloud; 0 for a cloud.
         tip_contact_m: Length of the part of the bare tip, at the TCP, that may touch walls; None: all of the tip.
         frames: The path's normals, tangents and orientations, if given.
+        seam_begins: First rows of the second and of each later seam in the path.
         origin: Point of the part's files, in their coordinates, that is the origin of the workpiece frame.
         hull_normal: Outward unit normals of the cloud's convex hull, the points x with hull_normal @ x <= hull_offset.
         hull_offset: Offsets of the hull's half-spaces.
@@ -85,6 +86,7 @@ class Workpiece:
     covering_radius_m: float = 0.0
     tip_contact_m: float | None = None
     frames: PathFrames = field(default_factory=PathFrames)
+    seam_begins: tuple[int, ...] = ()
     origin: Float[np.ndarray, "3"] | Triple = (0.0, 0.0, 0.0)
     hull_normal: Float[np.ndarray, "F 3"] = field(init=False)
     hull_offset: Float[np.ndarray, "F"] = field(init=False)
@@ -151,8 +153,10 @@ class Workpiece:
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
-        """The path's unit tangents: as given, else by central differences."""
-        return tangents(self.path) if self.frames.tangents is None else self.frames.tangents
+        """The path's unit tangents: as given, else by central differences along each seam."""
+        if self.frames.tangents is not None:
+            return self.frames.tangents
+        return np.concatenate([tangents(seam) for seam in np.split(self.path, self.seam_begins)])
 
     @property
     def shown(self) -> Float[np.ndarray, "P 3"]:

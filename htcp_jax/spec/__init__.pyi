@@ -23,13 +23,26 @@ from .choices import (
     is_limits_file,
 )
 from .config import AUTO, CellConfig, CloudConfig, PlanConfig, RobotConfig, WorkpieceConfig
-from .config_file import BUILT_IN_ARM, FILES, NO_CLOUD, layers, layers_of, merged, parse_override, put_key
+from .config_file import (
+    BUILT_IN_ARM,
+    FILES,
+    NO_CLOUD,
+    SEVERAL,
+    exclude_path_or_seams,
+    layers,
+    layers_of,
+    merged,
+    parse_override,
+    part_key,
+    put_key,
+)
 from .defaults import DEPENDENT, SOURCES, is_other_arm, keys_of, value_at
 from .examples import example_or_path, read_mapping
 from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of, with_arrays
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
 from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
+from .seam_list import SeamConfig, check_seams
 from .strict_yaml import Quantity, parse_mapping, read_yaml, yaml_text
 from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
 from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
@@ -53,6 +66,7 @@ __all__ = [
     "PIVOT",
     "ROBOT",
     "SEAMS",
+    "SEVERAL",
     "SOURCES",
     "TASK_ROWS",
     "TCP_ON_PATH",
@@ -74,15 +88,18 @@ __all__ = [
     "Quantity",
     "Registry",
     "RobotConfig",
+    "SeamConfig",
     "Slot",
     "TaskRowKind",
     "Template",
     "Tool",
     "WorkpieceConfig",
+    "check_seams",
     "config",
     "config_file",
     "example_or_path",
     "examples",
+    "exclude_path_or_seams",
     "feed",
     "given_kinds",
     "is_limits_file",
@@ -98,6 +115,7 @@ __all__ = [
     "obstacle_kind",
     "parse_mapping",
     "parse_override",
+    "part_key",
     "path_row",
     "put_key",
     "read_mapping",

@@ -40,6 +40,7 @@ from htcp_jax.spec.feed import feed_of
 from htcp_jax.spec.given_kinds import built_in_row, kind_validator, needs_kind, record_of
 from htcp_jax.spec.model_source import WORLD
 from htcp_jax.spec.registry import NAME
+from htcp_jax.spec.seam_list import SeamConfig, check_seams
 from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
 from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.spec.tool import Tool
@@ -262,6 +263,8 @@ class WorkpieceConfig(strict_model.FileSection):
     unit: LengthUnit | None = None  # unit of the cloud's file; None: the unit that the file states, or m
     parent: Link | None = None  # link or site that carries the part; None: the link that robot.model names, or world
     path: str = "weld"  # a seam of the generated duct, see `io.parts`, or a CSV file of x,y,z
+    # seams in the order of work, in place of `path`; the key `seams` of a job is the same
+    seams: tuple[SeamConfig, ...] = Field((), exclude_if=lambda seams: not seams)
     path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: the header's, or the first ones
     path_unit: LengthUnit | None = None  # unit of the CSV file; None: the header's unit, or m
     path_angles: Maker | None = None  # maker whose order the angles in the CSV file have; None: the header decides
@@ -281,6 +284,17 @@ class WorkpieceConfig(strict_model.FileSection):
     shift_m: PointM = (0.0, 0.0, 0.0)  # translation in the world, after the rotations
     approach_to_inlet: ApproachSteps = 5  # number of equal steps from the start's TCP to the inlet
     approach_to_path: ApproachSteps = 5  # number of equal steps from the inlet to the first point of the path
+
+    @field_validator("seams")
+    @classmethod
+    def _are_ordered(cls, seams: tuple[SeamConfig, ...]) -> tuple[SeamConfig, ...]:
+        check_seams(seams)
+        return seams
+
+    @property
+    def path_label(self) -> str:
+        """The name of the path's file or seam, or the names of all seams."""
+        return ", ".join(seam.name for seam in self.seams) or Path(self.path).name
 
     @property
     def is_duct(self) -> bool:

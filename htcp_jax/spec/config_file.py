@@ -19,12 +19,14 @@ from htcp_jax.spec.examples import example_or_path
 BASE = "config"  # key that names the base file
 BUILT_IN_ARM, DUCT, NO_CLOUD = "gp50", "duct", "none"  # values of a job's keys that are not file names
 LIMIT_PROFILES = "simulation", "datasheet", "model"  # values of robot.limits that are not file names
+SEVERAL = ""  # value of workpiece.path if workpiece.seams has the paths
+PART_SEAMS = "workpiece.seams"  # its short form is the key seams
 # Keys that name files, by section and key, with their values that are not file names but built-in parts.
 FILES = {
     ("robot", "model"): (BUILT_IN_ARM,),
     ("robot", "limits"): LIMIT_PROFILES,
     ("workpiece", "cloud"): (DUCT, NO_CLOUD),
-    ("workpiece", "path"): SEAMS,
+    ("workpiece", "path"): (*SEAMS, SEVERAL),
     ("cell", "model"): (None,),
     ("positioner", "model"): (None,),
     ("rail", "model"): (None,),
@@ -105,7 +107,46 @@ def parse_override(override: str) -> tuple[str, Any]:
     return dotted, strict_yaml.parse_yaml(text, f"--set {override}")
 
 
+def part_key(dotted: str) -> str:
+    """Return a dotted key with `workpiece.seams` in place of its short form `seams`."""
+    return f"workpiece.{dotted}" if dotted.split(".")[0] == "seams" else dotted
+
+
+def exclude_path_or_seams(raw: dict, name: str, keys: Iterable[str]) -> None:
+    """Empty `workpiece.path` if keys set `workpiece.seams`, and the seams if keys set the path.
+
+    Args:
+        raw: A configuration; it is modified.
+        name: Its name, for messages.
+        keys: The dotted keys that its file or override sets.
+
+    Raises:
+        InputError: If both are set.
+    """
+    given, part = set(keys), raw.get("workpiece")
+    if not isinstance(part, dict) or not given & {PART_SEAMS, "workpiece.path"}:
+        return
+    if PART_SEAMS not in given:
+        part["seams"] = []
+    elif part["seams"]:
+        if "workpiece.path" in given and part["path"] != SEVERAL:
+            raise InputError(f"{name}: workpiece.path and seams are both given; write the path as one of the seams")
+        part["path"] = SEVERAL
+
+
+def _with_seams_of_part(raw: dict, name: str) -> None:
+    """Move the key `seams`, the short form of `workpiece.seams`, into the section of the part."""
+    if "seams" in raw:
+        part = raw.setdefault("workpiece", {})
+        if not isinstance(part, dict) or "seams" in part:
+            raise InputError(f"{name}: seams and workpiece.seams are both given; they are the same key")
+        part["seams"] = raw.pop("seams")
+    part = raw.get("workpiece")
+    exclude_path_or_seams(raw, name, (f"workpiece.{key}" for key in part) if isinstance(part, dict) else ())
+
+
 def _below(raw: dict, name: str, folder: Path, parents: list[Path]) -> list[tuple[str, dict]]:
+    _with_seams_of_part(raw, name)
     _anchor_files(raw, folder)
     if BASE not in raw:
         return [(name, raw)]
@@ -128,7 +169,11 @@ def named_files(raw: dict) -> Iterator[tuple[str, dict, str]]:
         value = raw.get(section)
         if isinstance(value, dict) and isinstance(value.get(key), str) and value[key] not in words:
             yield f"{section}.{key}", value, key
-    cell = raw.get("cell")
+    part, cell = raw.get("workpiece"), raw.get("cell")
+    seams = part.get("seams") if isinstance(part, dict) else ()
+    for seam in seams if isinstance(seams, list | tuple) else ():
+        if isinstance(seam, dict) and isinstance(seam.get("path"), str) and seam["path"] not in SEAMS:
+            yield PART_SEAMS, seam, "path"
     clouds = cell.get("clouds") if isinstance(cell, dict) else ()
     for cloud in clouds if isinstance(clouds, list | tuple) else ():
         if isinstance(cloud, dict) and isinstance(cloud.get("cloud"), str):

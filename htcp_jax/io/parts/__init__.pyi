@@ -1,3 +1,4 @@
+from .path_file import PathPoints, read_path_points
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
 from .workpiece_source import (
@@ -13,6 +14,7 @@ from .workpiece_source import (
 __all__ = [
     "GeneratedDuct",
     "NoCloud",
+    "PathPoints",
     "PointCloud",
     "TriangleMesh",
     "WorkpieceSource",
@@ -20,5 +22,6 @@ __all__ = [
     "check_tool",
     "load_geometry",
     "load_workpiece",
+    "read_path_points",
     "read_source",
 ]

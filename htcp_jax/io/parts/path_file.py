@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts import angles, columns, headings
 from htcp_jax.io.parts.path_table import PathTable
-from htcp_jax.io.parts.seams import name_jumps
+from htcp_jax.io.parts.seams import SeamRows, name_jumps
 from htcp_jax.model import ONE_POINT_M, PathFrames
 
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
@@ -24,6 +24,18 @@ class PathPoints(NamedTuple):
 
     xyz: Float[np.ndarray, "T 3"]  # [m]
     frames: PathFrames
+    seams: Sequence[SeamRows] = ()  # the seams in the file
+
+    def rows(self, rows: slice | Int[np.ndarray, "n"]) -> "PathPoints":
+        """Return some of the points as one seam, in another order or backwards.
+
+        Tangents are in the direction of travel: those that the file gives are reversed if the rows descend.
+        """
+        indices = np.arange(len(self.xyz))[rows]
+        frames = PathFrames(*(None if each is None else each[indices] for each in self.frames))
+        if frames.tangents is not None and len(indices) > 1 and indices[1] < indices[0]:
+            frames = frames._replace(tangents=-frames.tangents)
+        return PathPoints(self.xyz[indices], frames)
 
 
 def read_path_points(
@@ -46,7 +58,8 @@ def read_path_points(
             a quaternion of length 0.
     """
     table = PathTable(path, chosen, unit)
-    name_jumps(str(path), table.xyz, ONE_POINT_M)
+    for seam in table.seams:
+        name_jumps(str(path), table.xyz, ONE_POINT_M, seam)
     normals, tangents = (
         None if (names := _family(table, families)) is None else _unit_vectors(table, names, what, path)
         for families, what in ((headings.NORMALS, "normal"), (headings.TANGENTS, "tangent"))
@@ -55,7 +68,7 @@ def read_path_points(
         normals = table.guessed_normals
         if len(wrong := np.flatnonzero(~normals.any(axis=1))):
             raise InputError(f"{path}: the normal at point {wrong[0] + 1} has the length 0; it must be 1")
-    return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)))
+    return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)), table.seams)
 
 
 def _family(table: PathTable, families: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:

@@ -1,4 +1,4 @@
-"""Table of a path's file: one seam, with columns by name."""
+"""Table of a path's file: its rows by seam, with columns by name."""
 
 import math
 import warnings
@@ -11,11 +11,13 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import Heading, listed
-from htcp_jax.io.parts.seams import check_one_seam
+from htcp_jax.io.parts.seams import SeamRows, seam_rows
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
-from htcp_jax.system import note_missing_line_end, read_tail
+from htcp_jax.model.arrays import check_points
+from htcp_jax.system import known_ending, note_missing_line_end, read_tail
 
 COLOURS = {"r", "g", "b"}
+ENDINGS = (".xyz", ".csv", ".txt")
 
 
 class PathTable:
@@ -24,7 +26,7 @@ class PathTable:
     def __init__(
         self, path: Path, chosen: Mapping[str, int | str] = MappingProxyType({}), unit: str | None = None
     ) -> None:
-        """Read the file; blank lines between rows, and a column that divides the rows, mean several seams.
+        """Read the file; blank lines between rows, and a column `seam`, mean several seams, see `seam_rows`.
 
         A Note reports a last line without a line end.
 
@@ -36,19 +38,24 @@ class PathTable:
                 none. A UserWarning reports a header with a different unit.
 
         Raises:
-            InputError: As `read_table` and `chosen_columns` do, and for several seams.
+            InputError: As `read_table`, `chosen_columns` and `seam_rows` do, for an unknown ending, and for no points.
         """
+        known_ending(path, ENDINGS)
         self._path, self._reader = path, TableReader(path, keep=True, chosen=chosen)
         self._reader.take_all()
         columns, header = self._reader.columns, self._reader.header or ()
         points = self._reader.points(unit)
         self.xyz: Float[np.ndarray, "P 3"] = points.xyz  # [m]
+        if not len(self.xyz):
+            raise InputError(f"{path}: the tool path is empty")
+        check_points(self.xyz, str(path), at_least=1)
         # Unit normals, or 0, in the last columns of a table without names; None if there are none.
         self.guessed_normals = None if columns is None or columns.named else points.normals
         self._header = header if columns is not None and len(header) == columns.width and columns.named else ()
+        self.seams = [SeamRows("1", 0, len(self.xyz))]
         if columns is None:
             return
-        check_one_seam(str(path), self._reader.rows, self._reader.blank, self._header)
+        self.seams = seam_rows(str(path), self._reader.rows, self._reader.blank, self._header)
         if unit not in (None, self._reader.unit or unit):
             text = f"the unit is {self._reader.unit} in the header and {unit} in the job; the job's is used"
             warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)

@@ -17,7 +17,8 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.duct_seams import seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.path_table import PathTable
-from htcp_jax.io.parts.point_cloud import TEXT, load_geometry
+from htcp_jax.io.parts.point_cloud import load_geometry
+from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
 from htcp_jax.model import (
     InletDirection,
@@ -32,7 +33,6 @@ from htcp_jax.model import (
     thinnest_nearby,
 )
 from htcp_jax.spec import SEAMS, Maker
-from htcp_jax.system import known_ending
 from htcp_jax.types import Anywhere, Triple
 
 MOST_POINTS = 10_000_000  # maximum number of points on the generated duct
@@ -166,7 +166,7 @@ COARSEST_M = 1e-3  # largest rounding of far coordinates that is accepted [m]
 
 def load_workpiece(
     source: WorkpieceSource | str | Path | Anywhere = DUCT,
-    path: str | Path | Anywhere | None = None,
+    path: str | Path | Anywhere | PathPoints | None = None,
     *,
     robot: Robot | None = None,
     path_columns: Mapping[str, int | str] = MappingProxyType({}),
@@ -180,7 +180,8 @@ def load_workpiece(
 
     Args:
         source: The walls. `read_source` reads a file; an array (P, 3) [m] is a `PointCloud`.
-        path: A file, see `read_path_points`, or points (T, 3) [m]; None: the seam of a `GeneratedDuct`.
+        path: A file of one seam, see `read_path_points`, or points (T, 3) [m], or the points of several seams; None:
+            the seam of a `GeneratedDuct`.
         robot: The arm. The sizes of part and path must be plausible for it, see `units`, and its thinnest body near the
             part determines the spacing of points on a mesh. None: sizes are not checked, and the default spacing is
             used.
@@ -284,14 +285,15 @@ def _read_track(
     maker: Maker | None,
     directions: bool = True,
 ) -> PathPoints:
+    if isinstance(path, PathPoints):
+        return path
     if not _is_file(path):
         return PathPoints(arrays.points(path, "path", 1), PathFrames())
-    path = Path(path)
-    known_ending(path, TEXT)
-    found = (
-        read_path_points(path, columns, unit, maker) if directions else PathPoints(PathTable(path).xyz, PathFrames())
-    )
-    if not len(found.xyz):
-        raise InputError(f"{path}: the tool path is empty")
-    arrays.check_points(found.xyz, str(path), at_least=1)
+    found = read_path_points(Path(path), columns, unit, maker) if directions else _points_only(Path(path))
+    check_one_seam(str(path), found.seams)
     return found
+
+
+def _points_only(path: Path) -> PathPoints:
+    table = PathTable(path)
+    return PathPoints(table.xyz, PathFrames(), table.seams)

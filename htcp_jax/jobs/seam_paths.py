@@ -1,0 +1,135 @@
+"""Paths of a part's seams: the seams that its files contain, and the points of all seams in the order of work."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from htcp_jax.errors import InputError
+from htcp_jax.io import parts
+from htcp_jax.model import ONE_POINT_M, PathFrames
+from htcp_jax.spec import SEAMS, SEVERAL, SeamConfig, WorkpieceConfig, check_seams
+
+
+class SeamPoints(NamedTuple):
+    """Points of all seams, one after the other."""
+
+    points: parts.PathPoints
+    begins: tuple[int, ...]  # first row of the second and of each later seam
+
+
+def is_file(part: WorkpieceConfig, path: str) -> bool:
+    """Return False if a path is a seam of the generated duct."""
+    return not (path in (*SEAMS, SEVERAL) or (part.is_duct and not Path(path).suffix))
+
+
+def with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
+    """Return the section `workpiece` with one entry in `seams` for each seam that the path's files contain.
+
+    A file of one seam remains the path. A seam with `points: true` becomes one seam per row.
+
+    Args:
+        part: The section.
+
+    Raises:
+        InputError: If a file cannot be read, if a seam has rows that its file lacks, and for names that occur twice.
+    """
+    read = _reader(part)
+    if not part.seams:
+        found = read(part.path).seams if is_file(part, part.path) else ()
+        if len(found) < 2:
+            return part
+        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count)) for each in found]
+        check_seams(seams)
+        return part.model_copy(update={"path": SEVERAL, "seams": tuple(seams)})
+    split = {seam.name: _split(seam, read(seam.path)) for seam in part.seams}
+    names = {name: tuple(own.name for own in found) for name, found in split.items()}
+    seams = [
+        own.model_copy(update={"after": tuple(name for other in seam.after for name in names[other])})
+        for seam in part.seams
+        for own in split[seam.name]
+    ]
+    check_seams(seams)
+    return part.model_copy(update={"seams": tuple(seams)})
+
+
+def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
+    """Return the points of all seams [m], each in its direction of travel, `backward` or else forward.
+
+    Args:
+        part: The section `workpiece`, with seams, see `with_seams_of_files`.
+
+    Raises:
+        InputError: If a file cannot be read; if only some seams have normals, tangents or orientations; if a closed
+            seam's last point is not its first one; and if `begins_at` is not one of its rows.
+    """
+    read = _reader(part)
+    found = [_travelled(seam, read(seam.path)) for seam in part.seams]
+    joined = {}
+    for name in PathFrames._fields:
+        own = [getattr(each.frames, name) for each in found]
+        lacking = [seam.name for seam, given in zip(part.seams, own, strict=True) if given is None]
+        if lacking and len(lacking) < len(own):
+            raise InputError(f"seams: {', '.join(lacking)}: the path has no {name}, but those of other seams have some")
+        joined[name] = None if lacking else np.concatenate(own)
+    begins = np.cumsum([len(each.xyz) for each in found])[:-1].tolist()
+    points = parts.PathPoints(np.concatenate([each.xyz for each in found]), PathFrames(**joined))
+    return SeamPoints(points, tuple(begins))
+
+
+def _reader(part: WorkpieceConfig):
+    """Return a function that reads a path, each file once."""
+    columns: Mapping[str, int | str] = {} if part.path_columns is None else part.path_columns.given
+
+    @cache
+    def read(path: str) -> parts.PathPoints:
+        if not is_file(part, path):
+            if not part.is_duct or path not in SEAMS:
+                raise InputError(f"seams: {path!r} is neither a file nor a seam of the duct: {', '.join(SEAMS)}")
+            return parts.PathPoints(parts.GeneratedDuct(seam=path).path(), PathFrames())
+        return parts.read_path_points(Path(path), columns, part.path_unit, part.path_angles)
+
+    return read
+
+
+def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:
+    """Return an entry for each seam in the rows of one entry."""
+    count = len(points.xyz)
+    if seam.rows is not None:
+        first, own = seam.rows
+        if not 0 < own <= count - first:
+            raise InputError(f"seam {seam.name!r}: rows {list(seam.rows)}: {Path(seam.path).name} has {count} rows")
+        ranges = {seam.name: (first, own)}
+    elif len(points.seams) > 1:
+        ranges = {f"{seam.name} {each.label}": (each.first, each.count) for each in points.seams}
+    else:
+        ranges = {seam.name: (0, count)}
+    if seam.points:
+        rows = [row for first, own in ranges.values() for row in range(first, first + own)]
+        ranges = {f"{seam.name} {k + 1}": (row, 1) for k, row in enumerate(rows)}
+    whole = len(ranges) == 1 and seam.rows is None
+    return [
+        seam.model_copy(update={"name": name, "rows": None if whole else rows, "points": False})
+        for name, rows in ranges.items()
+    ]
+
+
+def _travelled(seam: SeamConfig, points: parts.PathPoints) -> parts.PathPoints:
+    """Return the points of a seam in the order of travel."""
+    first, count = seam.rows or (0, len(points.xyz))
+    rows = np.arange(first, first + count)
+    if seam.closed:
+        rows = _from_row(seam, points.xyz[rows], rows)
+    return points.rows(rows[::-1] if seam.direction == "backward" else rows)
+
+
+def _from_row(seam: SeamConfig, xyz: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the rows of a closed seam from row `begins_at` around to the same row."""
+    if np.linalg.norm(xyz[-1] - xyz[0]) < ONE_POINT_M and len(rows) > 1:
+        rows = rows[:-1]
+    if seam.begins_at >= len(rows):
+        raise InputError(f"seam {seam.name!r}: begins_at is {seam.begins_at}, but it has {len(rows)} rows")
+    turned = np.roll(rows, -seam.begins_at)
+    return np.append(turned, turned[0])

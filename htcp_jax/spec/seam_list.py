@@ -1,0 +1,81 @@
+"""Seams of a part: each has a path, a direction and its place in the order of work.
+
+    seams:
+      - {name: rib, path: rib.csv}
+      - {name: flange, path: flange.csv, closed: true, after: [rib]}
+      - {name: holes, path: holes.csv, points: true}
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from htcp_jax.errors import InputError
+from htcp_jax.spec import strict_model
+
+Direction = Literal["either", "forward", "backward"]
+SeamName = Annotated[str, Field(min_length=1, max_length=60)]
+Row = Annotated[int, Field(ge=0)]
+
+
+class SeamConfig(strict_model.FileSection):
+    """One seam: rows of a path's file, and when and in which direction the tool follows them."""
+
+    name: SeamName
+    path: str = Field(min_length=1)  # a seam of the generated duct, or a CSV file of x,y,z
+    rows: tuple[Row, Row] | None = None  # first row of the path, counted from 0, and number of rows; None: all
+    direction: Direction = "either"  # direction of travel; backward: from the last row to the first
+    closed: bool = False  # True: a closed curve, which may begin at any of its rows
+    begins_at: Row = 0  # row of a closed seam, counted from 0, at which the motion begins and ends
+    points: bool = False  # True: each row is a seam of one target, such as a hole or a spot
+    after: tuple[SeamName, ...] = ()  # seams that must be done before this one
+
+    @model_validator(mode="after")
+    def _is_one_kind(self) -> "SeamConfig":
+        if self.points and (self.closed or self.direction != "either"):
+            key = "closed" if self.closed else "direction"
+            raise InputError(f"seam {self.name!r} has points: true; its key {key} would have no effect, omit it")
+        if self.begins_at and not self.closed:
+            raise InputError(f"seam {self.name!r}: begins_at is for a seam with closed: true")
+        return self
+
+
+def check_seams(seams: Sequence[SeamConfig]) -> None:
+    """Check the names and the precedence of a part's seams.
+
+    Raises:
+        InputError: For a name that occurs twice, an unknown name in `after`, and seams that wait for each other.
+    """
+    names = [seam.name for seam in seams]
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"seams: the name {name!r} occurs {count} times; names must differ")
+    before = {seam.name: seam.after for seam in seams}
+    for seam in seams:
+        for name in seam.after:
+            if name not in before:
+                raise InputError(f"seams: {seam.name!r} is after {name!r}, which is no seam; seams: {', '.join(names)}")
+    if circle := _circle(before):
+        raise InputError(f"seams: the keys after form a circle: {' after '.join(circle)}")
+
+
+def _circle(before: dict[str, tuple[str, ...]]) -> list[str]:
+    """Return the names along a circle of precedence, its first name also last; [] if there is none."""
+    done: set[str] = set()
+    for first in before:
+        path, stack = [], [(first, iter(before[first]))] if first not in done else []
+        path = [first] if stack else []
+        while stack:
+            name, waiting = stack[-1]
+            following = next(waiting, None)
+            if following is None:
+                stack.pop()
+                done.add(path.pop())
+            elif following in path:
+                return [*path[path.index(following) :], following]
+            elif following not in done:
+                path.append(following)
+                stack.append((following, iter(before[following])))
+    return []
