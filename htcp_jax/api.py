@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax import jobs, runs
+from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
@@ -26,7 +26,7 @@ from htcp_jax.planning import LostPlace, batch, lost_place, registry
 from htcp_jax.planning import methods as planning_methods
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
-from htcp_jax.runs import MotionSummary, plan_folder, provenance, summarise_motion
+from htcp_jax.runs import MotionSummary, SeamOrder, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
 from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
@@ -51,6 +51,7 @@ class Plan:
     plans: Plans  # the scenario axis of every array has length 1
     obstacles: Obstacles = ()  # those in addition to the workpiece
     device: str | None = None  # name of the device that planned the job, see `device.devices`; None: a GPU, if any
+    order: SeamOrder | None = None  # order of the seams and reasons for missing ones; None for one seam
 
     @cached_property
     def summary(self) -> summaries.Summary:
@@ -89,6 +90,7 @@ class Plan:
         s = self.summary
         recovered = f", {s.after_recovery} of them by a recovery" if s.after_recovery else ""
         facts = {
+            **({} if self.order is None else self.order.facts()),
             **self.motion_summary.facts(),
             **self._reduced_margin(),
             **self._length(),
@@ -276,6 +278,8 @@ class Plan:
                 f"settings.max_joint_step_rad allows {bound} from target to target; "
                 "try a larger bound, or targets that are closer together"
             )
+        if self.order is not None:
+            return self.order.failure()
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
             if end.status == Status.NO_START:
@@ -324,6 +328,8 @@ class Plan:
         """
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
+        if self.order is not None:
+            known["order"] = self.order.record()
         if (joint := self.motion_summary.joint_step_joint) is not None:
             known["motion"]["joint_step_joint"] = self.robot.joint_names[joint]
         at = self._least_manipulability
@@ -441,7 +447,11 @@ def plan_job(
     job = job.model_copy(update={"settings": job.settings.on(first.platform)})
     with devices.on(first):
         chosen = method or planning_methods.find(job.method)
-        job, robot, workpiece, scenario = jobs.build.resolved_scene(job, source)
+        job, robot = jobs.build.with_robot(job, source)
+        if len(job.workpiece.seams) > 1:
+            return _plan_seams(job, robot, chosen, progress, device)
+        workpiece = jobs.build.workpiece_of(job.workpiece, robot)
+        scenario = jobs.build.scenario_of(job, robot, workpiece)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
         task, execution = jobs.build.task_of_job(job, robot), Execution(device)
         problem = Problem.of(
@@ -450,6 +460,41 @@ def plan_job(
         plans = batch.plan(problem, chosen, progress)
         robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
+
+
+def _plan_seams(
+    job: PlanConfig,
+    robot: Robot,
+    method: registry.Method,
+    progress: Callable[[batch.Progress], None] | None,
+    device: str | None,
+) -> Plan:
+    """Plan a resolved job with several seams, see `sequencing`."""
+    found = jobs.seam_scenarios.seam_scenarios(job, robot)
+    all_obstacles, names = jobs.build.obstacles_of(job.cell, robot), [seam.name for seam in job.workpiece.seams]
+    about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
+    problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
+    plans = sequencing.plan_seams(problem, found.variants, method, progress)
+    home = None if problem.begins_anywhere[0] else problem.scenarios.x_home[0]
+    seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
+    sequence = sequencing.find_sequence(problem, seams, plans.found, found.before, home, _joint_speeds(robot, job))
+    done = [visit.variant for visit in sequence.visits]
+    missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))
+    lost = {s: plans.best.get(s) or sequencing.not_joined(problem, found.variants, s) for s in missing}
+    job, workpiece, scenario = jobs.seam_scenarios.in_order(found, robot, done, missing)
+    whole = Problem.of(robot, workpiece, scenario, *about)
+    made = sequencing.whole_plans(whole, sequence, list(lost.values()))
+    reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
+    order = SeamOrder.of([seam for seam in job.workpiece.seams[: len(done)]], made, sequence, reasons)
+    robot, scenario = with_own_tool(robot, scenario)
+    return Plan(job, robot, workpiece, scenario, made, all_obstacles, device, order)
+
+
+def _joint_speeds(robot: Robot, job: PlanConfig) -> Float[np.ndarray, "N"]:
+    """Return the full speeds of the joints [rad/s or m/s]; 1 where neither the job nor the model limits them."""
+    speed = np.array(job.program.velocity or trajectory.own_rates(robot)["velocity"], float)
+    speed = np.broadcast_to(speed, (len(robot.joint_names),))
+    return np.where(np.isfinite(speed), speed, 1.0)
 
 
 def methods() -> "pandas.DataFrame":

@@ -45,10 +45,10 @@ from typing import NamedTuple
 PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
     *("system", "caching", "spec"),
-    *("model", "solvers", "clearance", "device", "motion", "planning", "reachability"),
+    *("model", "solvers", "clearance", "device", "motion", "planning", "sequencing", "reachability"),
     *("io", "jobs", "runs", "trajectory", "proving", "placement", "validation", "viewer", "report", "cli"),
 ]
-CORE = PACKAGES[3:10]
+CORE = PACKAGES[3:11]
 OUTSIDE_CORE = {"yaml", "pyarrow", "matplotlib", "rich", "mujoco"}  # files, charts, tables, simulation
 OUTSIDE_SPEC = {"jax", "mujoco", "scipy", "trimesh", "pyarrow", "matplotlib", "rich"}  # slow to import; not for data
 SIZES = {  # packages with fewer than 5 or more than 15 public names, and why

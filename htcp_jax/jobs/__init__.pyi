@@ -1,4 +1,4 @@
-from . import build, grid_axes
+from . import build, grid_axes, seam_scenarios
 from .batch import Batch, PlannerInputs
 from .cell_shapes import shapes_in_world
 from .grid import Sweep, load_sweep, load_sweep_or_job
@@ -17,6 +17,7 @@ __all__ = [
     "load_sweep_or_job",
     "points_of",
     "resolve",
+    "seam_scenarios",
     "seeded",
     "shapes_in_world",
     "source_of",

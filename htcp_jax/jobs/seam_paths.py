@@ -109,7 +109,7 @@ def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:
     if seam.points:
         rows = [row for first, own in ranges.values() for row in range(first, first + own)]
         ranges = {f"{seam.name} {k + 1}": (row, 1) for k, row in enumerate(rows)}
-    whole = len(ranges) == 1 and seam.rows is None
+    whole = len(ranges) == 1 and seam.rows is None and not seam.closed
     return [
         seam.model_copy(update={"name": name, "rows": None if whole else rows, "points": False})
         for name, rows in ranges.items()

@@ -10,7 +10,9 @@ from .robot import Robot
 from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
 from .row_bounds import FeatureMotion, Region, RowSlack
 from .scenario import Scenario
+from .scenario import NOT_REFUSED
 from .scenario_setup import (
+    beyond_reach,
     interior_plane_of,
     interior_rule,
     make_scenario,
@@ -25,6 +27,7 @@ from .task_rows import Feature, Row, TaskPoint
 from .workpiece import InletDirection, Workpiece, median_distance
 
 __all__ = [
+    "NOT_REFUSED",
     "ONE_POINT_M",
     "TCP_POSITION",
     "BodyPieces",
@@ -50,6 +53,7 @@ __all__ = [
     "Workpiece",
     "arrays",
     "axis_angle_matrix",
+    "beyond_reach",
     "body_pieces",
     "check_constant_angles",
     "coordinate_limits",

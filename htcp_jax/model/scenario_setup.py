@@ -13,7 +13,7 @@ from htcp_jax.model.robot import Robot, lengthen_tool
 from htcp_jax.model.scenario import NOT_REFUSED, Scenario, without_pose
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.status import Status
-from htcp_jax.types import Anywhere, Float, Int
+from htcp_jax.types import Anywhere, Bool, Float, Int
 
 
 class OutOfReach(InputError):
@@ -160,7 +160,7 @@ def make_scenarios(
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     first, steps = (path[:, 0], (0, 0)) if auto_start else (follows, approach)
     targets = path_targets(first, inlet, path, steps)
-    is_far = _distances(robot, targets) > max_reach(with_tool(robot, float(tool_extension_m)))
+    is_far = beyond_reach(robot, targets, tool_extension_m)
     scenarios, count = targets.shape[:2]
     return Scenario(
         x_start=x_start,
@@ -179,6 +179,13 @@ def make_scenarios(
         number=number.astype(np.int32),
         refused=np.where(is_far.any(axis=1), Status.OUT_OF_REACH, NOT_REFUSED).astype(np.int32),
     )
+
+
+def beyond_reach(
+    robot: Robot, targets: Float[np.ndarray, "*S T 3"], tool_extension_m: float
+) -> Bool[np.ndarray, "*S T"]:
+    """Return True for targets beyond the maximum reach of an arm with its tool lengthened by `tool_extension_m`."""
+    return _distances(robot, targets) > max_reach(with_tool(robot, float(tool_extension_m)))
 
 
 def interior_plane_of(

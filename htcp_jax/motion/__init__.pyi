@@ -1,6 +1,7 @@
 from . import (
     arm_poses,
     configurations,
+    joint_search,
     lane_inputs,
     manipulability,
     motion,
@@ -15,7 +16,7 @@ from . import (
 from .collision_checker import CollisionChecker, prove_call
 from .home import begin_at_home, leave_home
 from .motion import Motion
-from .plans import Plans
+from .plans import Plans, Retract
 from .problem import Execution, Problem
 from .sparse_columns import DeadEnds, Tried, ViaPoints
 from .start_check import start_contact
@@ -27,11 +28,13 @@ __all__ = [
     "Motion",
     "Plans",
     "Problem",
+    "Retract",
     "Tried",
     "ViaPoints",
     "arm_poses",
     "begin_at_home",
     "configurations",
+    "joint_search",
     "lane_inputs",
     "leave_home",
     "manipulability",

@@ -59,11 +59,16 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
         plans: The plans.
         scenario: Row of the scenario.
         on_path: Index of the first target that is a point of the path, `Scenario.on_path`.
-        retract: True to append the motion back to the start, through the same configurations.
+        retract: True to append the motion back to the start: `Plans.retract`, or through the same configurations.
     """
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
         return there
+    if plans.retract is not None and plans.executable[scenario].all():
+        x = plans.retract.x
+        last = np.full(len(x), there.target[-1])
+        back = Motion(x, last, np.full(len(x), Kind.RETRACT, np.int8), np.tile([0.0, 1.0], (len(x), 1)))
+        return Motion(*map(np.concatenate, zip(there, back, strict=True)))
     x, target, kind, span = (column[-2::-1] for column in there)
     back = Motion(x, target, np.full_like(kind, Kind.RETRACT), span)
     return Motion(*map(np.concatenate, zip(there, back, strict=True)))
@@ -90,7 +95,7 @@ def motions(plans: Plans, on_path: OnPath, rows: Bool[np.ndarray, "S T"] | None 
     order = np.lexsort((place, target, scenario))
     scenario, target, end, stays = scenario[order], target[order], end[order], stays[order]
     kind = _motion_kinds(target, stays, np.broadcast_to(on_path, len(rows))[scenario])
-    kind[transfers(plans)[scenario] & (target == 0)] = Kind.TRANSFER
+    kind[(transfers(plans)[scenario] & (target == 0)) | plans.begins_seam[target]] = Kind.TRANSFER
     same = (np.diff(scenario, prepend=-1) == 0) & (np.diff(target, prepend=-1) == 0)
     span = np.stack([np.where(same, np.append(0.0, end[:-1]), 0.0)[: len(end)], end], axis=1)
     return Motions(scenario, x[order], target - (kind == Kind.DWELL), kind, span)
@@ -220,15 +225,17 @@ def curvature(plans: Plans, on_path: OnPath) -> Float[np.ndarray, "S T"]:
 
     Points closer than ONE_POINT_M are one point, with the configuration of the last of them. The arc length does not
     grow during a dwell, so |q''| is undefined at a target where the arm dwells and at the next target. The result is
-    NaN there, at both ends of the path and everywhere off the path.
+    NaN there, at both ends of each seam and everywhere off the path.
     """
     path = plans.executable & (np.arange(plans.x.shape[1]) >= np.reshape(on_path, (-1, 1)))
     ahead = np.linalg.norm(np.diff(plans.target, axis=1), axis=2)
+    ahead[:, plans.begins_seam[1:]] = np.inf
     points = path.copy()
     points[:, :-1] &= ~(path[:, 1:] & (ahead < ONE_POINT_M))
     s, t = np.nonzero(points)
-    x, place, turned = plans.x[s, t], plans.target[s, t], np.cumsum(_turns(plans), axis=1)[s, t]
-    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # True: no dwell before the next point
+    breaks = _turns(plans) | plans.begins_seam
+    x, place, turned = plans.x[s, t], plans.target[s, t], np.cumsum(breaks, axis=1)[s, t]
+    straight = (np.diff(s) == 0) & (np.diff(turned) == 0)  # True: no dwell, and no other seam, before the next point
     length = np.where(straight, np.linalg.norm(np.diff(place, axis=0), axis=1), 1.0)
     slope = np.diff(x, axis=0) / length[:, None]
     bend = 2 * np.linalg.norm(np.diff(slope, axis=0), axis=1) / (length[:-1] + length[1:])
@@ -246,11 +253,12 @@ def narrowest_segment(
 
     Args:
         plans: The plans.
-        without_transfer: True excludes the segment to the first target in scenarios with a transfer.
+        without_transfer: True excludes the segments to later seams and, with a transfer, to the first target.
     """
     clear = np.where(plans.executable, plans.segment_clearance, np.inf)
     if without_transfer:
         clear[transfers(plans), 0] = np.inf
+        clear[:, plans.begins_seam] = np.inf
     target, least = clear.argmin(axis=1), clear.min(axis=1)
     return np.where(np.isinf(least), -1, target), np.where(np.isinf(least), np.nan, least)
 
@@ -259,4 +267,4 @@ def _turns(plans: Plans) -> Bool[np.ndarray, "S T"]:
     """Return True for executable targets on whose segment the arm changes its configuration while the tool stays."""
     found, via_points = np.zeros_like(plans.tracked), plans.via_points
     found[via_points.scenario[via_points.stays], via_points.target[via_points.stays]] = True
-    return found & plans.executable
+    return found & plans.executable & ~plans.begins_seam

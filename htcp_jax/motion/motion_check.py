@@ -3,10 +3,10 @@
 On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margin_m`, and the TCP must
 stay within `Settings.path_tolerance_m` of the line from the previous target, and advance along this line. If the arm
 changes its configuration on the segment, the TCP must stay within this distance of the previous target. On segments of
-the approach the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
+the approach and between seams the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
 
-Before the path, the arm should have the clearance `Scenario.transfer_margin_m`, see `RequiredMargins`. A segment that
-is clear with less is a motion, too: its status is REDUCED_MARGIN.
+Before the path and between seams, the arm should have the clearance `Scenario.transfer_margin_m`, see
+`RequiredMargins`. A segment that is clear with less is a motion, too: its status is REDUCED_MARGIN.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class StraightPaths(NamedTuple):
 def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
     """Return the tubes in which the TCP must stay on some segments, with the task's goals and the margin on the path.
 
-    A tube is unbounded on the approach, and if the task does not constrain the TCP's position.
+    A tube is unbounded on the approach and between seams, and if the task does not constrain the TCP's position.
 
     Args:
         problem: The problem.
@@ -50,9 +50,9 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
         turns: True if the arm changes its configuration on the segment while the TCP stays (n,).
     """
     scenarios, task = problem.scenarios, problem.task
-    free = (target <= scenarios.on_path[scenario]) | (not task.holds_tcp)
+    free = problem.off_path(scenario, target) | (not task.holds_tcp)
     rows = _goals_at_ends(problem, scenario, target, turns)
-    required = margin.constant(segment_margins(scenarios, scenario, target))
+    required = margin.constant(_margins_of_path(problem, scenario, target))
     if free.all():
         return motion_proof.Tube(
             np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows, required
@@ -65,7 +65,7 @@ def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.
 
 
 def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
-    """Return the required clearance on segments [m]; -inf where only D > 0 is required, as on the approach.
+    """Return the required clearance on segments of one seam [m]; -inf where only D > 0 is required, as before the path.
 
     Args:
         scenarios: Stacked scenarios.
@@ -74,6 +74,11 @@ def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarra
     """
     least = scenarios.segment_margin_m[scenario]
     return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
+
+
+def _margins_of_path(problem: Problem, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
+    """Return the clearances of `segment_margins` on all seams [m]; -inf between them."""
+    return np.where(problem.off_path(scenario, target), -np.inf, segment_margins(problem.scenarios, scenario, target))
 
 
 def _goals_at_ends(
@@ -87,14 +92,14 @@ def _goals_at_ends(
         return None, None
     scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
     goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
-    return goals, target > scenarios.on_path[scenario]
+    return goals, ~problem.off_path(scenario, target)
 
 
 class RequiredMargins:
     """Required clearance on the segments of plans, see `clearance.proof.margin`.
 
-    Two motions lead to the path: from the start to the first target, and from there to the path's first point.
-    `transfer_margin_m` falls off towards both ends of each.
+    Two motions lead to the path: from the start to the first target, and from there to the path's first point. One
+    leads to each later seam. `transfer_margin_m` falls off towards both ends of each.
 
     Args:
         problem: The problem.
@@ -103,7 +108,7 @@ class RequiredMargins:
     """
 
     def __init__(self, problem: Problem, plans: Plans, reduced: bool = False):
-        self._scenarios, self._plans, self._reduced = problem.scenarios, plans, reduced
+        self._problem, self._scenarios, self._plans, self._reduced = problem, problem.scenarios, plans, reduced
         self._most = problem.scenarios.transfer_margin_m
         if not (self._most > 0).any():
             return
@@ -120,23 +125,27 @@ class RequiredMargins:
             scenario: Row of each segment's scenario (n,).
             target: Target at each segment's end (n,).
         """
-        found = margin.constant(segment_margins(self._scenarios, scenario, target))
-        before = self.before_path(scenario, target)
+        found = margin.constant(_margins_of_path(self._problem, scenario, target))
+        before = self.off_path(scenario, target)
         if not before.any():
             return found
         s, t = scenario[before], target[before]
         ends = s[:, None], np.minimum(t, 1)[:, None] + np.arange(2)
-        falloff = self._scenarios.transfer_falloff_m[s]
-        rule = margin.falling_off(self._most[s], falloff, self._tcp[ends], self._clearance[ends])
+        tcp, clearance = self._tcp[ends], self._clearance[ends]
+        later = t > self._scenarios.on_path[s]
+        if later.any():  # between seams
+            rows = s[later, None], t[later, None] + np.arange(-1, 1)
+            tcp[later], clearance[later] = self._plans.tcp[rows], self._plans.clearance[rows]
+        rule = margin.falling_off(self._most[s], self._scenarios.transfer_falloff_m[s], tcp, clearance)
         if self._reduced:
             least = margin.constant(self._plans.segment_clearance[s, t])
             is_reduced = self._plans.segment_status[s, t] == SegmentStatus.REDUCED_MARGIN
             rule = tables.scatter(rule, is_reduced, tables.gather(least, is_reduced))
         return tables.scatter(found, before, rule)
 
-    def before_path(self, scenario: np.ndarray, target: np.ndarray) -> Bool[np.ndarray, "n"]:
-        """Return True for segments before the path on which more than D > 0 is required, if possible."""
-        return (target <= self._scenarios.on_path[scenario]) & (self._most[scenario] > 0)
+    def off_path(self, scenario: np.ndarray, target: np.ndarray) -> Bool[np.ndarray, "n"]:
+        """Return True for segments off the path on which more than D > 0 is required, if possible."""
+        return self._problem.off_path(scenario, target) & (self._most[scenario] > 0)
 
 
 def check_remaining_paths(problem: Problem, plans: Plans) -> Plans:
@@ -173,9 +182,32 @@ def verify_motions(problem: Problem, plans: Plans) -> Plans:
     ended = np.logical_or.accumulate(~np.isin(plans.segment_status, MOTION), axis=1)[:, :-1]
     plans.segment_status[:, 1:][ended], plans.segment_clearance[:, 1:][ended] = SegmentStatus.NOT_CHECKED, np.nan
     if problem.task.sampled:
-        along = np.arange(plans.segment_status.shape[1])[None, :] > scenarios.on_path[:, None]
+        every = np.indices(plans.segment_status.shape)
+        along = ~problem.off_path(*every)
         plans.segment_status[along & (plans.segment_status == SegmentStatus.VALID)] = SegmentStatus.SAMPLED
     return plans
+
+
+def verify_transfers(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with the verdicts of the segments off the path; others are not changed."""
+    plans = plans.with_own("segment_status", "segment_clearance")
+    first = plans.tracked & problem.off_path(*np.indices(plans.status.shape))
+    if first.any():
+        segments = segments_of(plans, first)
+        _write_verdicts(plans, segments, _proofs_with_margins(problem, segments, RequiredMargins(problem, plans)))
+    return plans
+
+
+def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k-1"]:
+    """Return lower bounds on D along the straight joint paths between consecutive configurations; NaN if not proven.
+
+    Args:
+        problem: The problem; D is that of its first scenario.
+        x: The configurations, off the path [rad or m].
+    """
+    rows = np.zeros(len(x) - 1, int)
+    proofs = _proofs(problem, StraightPaths(rows, rows, x[:-1], x[1:], np.ones(len(rows), bool)))
+    return np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
 
 
 def tighten(problem: Problem, plans: Plans) -> Plans:
@@ -237,7 +269,7 @@ def prove_segments(
 def _proofs_with_margins(problem: Problem, segments: StraightPaths, margins: RequiredMargins) -> bisection.Proof:
     """Return one proof per straight joint path; those with less than the margin have the verdict REDUCED_MARGIN."""
     proofs = _proofs(problem, segments, margins=margins)
-    lacks = (proofs.verdict != SegmentStatus.VALID) & margins.before_path(segments.scenario, segments.target)
+    lacks = (proofs.verdict != SegmentStatus.VALID) & margins.off_path(segments.scenario, segments.target)
     if not lacks.any():
         return proofs
     again = _proofs(problem, tables.gather(segments, lacks))

@@ -96,6 +96,13 @@ class Outcomes(NamedTuple):
         return Outcome(*known, failed, Status(status), blocked, SegmentStatus(segment_status))
 
 
+class Retract(NamedTuple):
+    """Proven motion from the last target of the only scenario back to the start, by straight joint paths."""
+
+    x: Float[np.ndarray, "R N"]  # configurations after the last target, of which the last one is the start [rad or m]
+    clearance: Float[np.ndarray, "R"]  # lower bound on D along the path to each of them [m]
+
+
 class Plans(NamedTuple):
     """The plans of S scenarios with up to T targets each, for a robot of N joints; numpy arrays on the host.
 
@@ -122,6 +129,9 @@ class Plans(NamedTuple):
     compile_s: float  # wall time spent waiting for compilation, or for processes to start [s]
     run_s: float  # wall time spent planning, without compilation [s]
     dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and the attempts after them
+    # First targets of the second and of each later seam, in all scenarios; the segments to them are transfers
+    seam_begins: tuple[int, ...] = ()
+    retract: Retract | None = None  # the motion from the last seam back to the start; None: all of the motion reversed
 
     @classmethod
     def empty(
@@ -159,6 +169,7 @@ class Plans(NamedTuple):
             compile_s=sum(part.compile_s for part in parts),
             run_s=sum(part.run_s for part in parts),
             dead_ends=consecutive([part.dead_ends for part in parts], rows),
+            seam_begins=parts[0].seam_begins,
         )
 
     @property
@@ -180,6 +191,11 @@ class Plans(NamedTuple):
     def blocked(self) -> Bool[np.ndarray, "S T"]:
         """True for tracked targets whose joint path from the previous row is known to collide."""
         return self.tracked & (self.path_clear == 0)
+
+    @property
+    def begins_seam(self) -> Bool[np.ndarray, "T"]:
+        """True for the first targets of the second and of each later seam."""
+        return np.isin(np.arange(self.status.shape[1]), self.seam_begins)
 
     @property
     def executable(self) -> Bool[np.ndarray, "S T"]:
@@ -264,7 +280,8 @@ class Plans(NamedTuple):
         return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
 
 
-ARRAYS = tuple(name for name in Plans._fields if name not in ("via_points", "compile_s", "run_s", "dead_ends"))
+_OTHERS = "via_points", "compile_s", "run_s", "dead_ends", "seam_begins", "retract"
+ARRAYS = tuple(name for name in Plans._fields if name not in _OTHERS)
 
 # Values of targets that a scenario does not have; targets that were not attempted differ only in their status.
 EMPTY = {

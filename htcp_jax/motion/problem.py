@@ -197,6 +197,16 @@ class Problem:
         """Indices of the scenarios to plan: those that are not refused."""
         return np.flatnonzero(self.scenarios.refused == scenario_functions.NOT_REFUSED)
 
+    def off_path(self, scenario: Rows, target: Rows) -> Bool[np.ndarray, "n"]:
+        """Return True for segments on which the task is not required: before the path, and between seams.
+
+        Args:
+            scenario: Row of each segment's scenario.
+            target: Target at each segment's end.
+        """
+        row = target - self.scenarios.on_path[scenario]  # row of the path
+        return (row <= 0) | np.isin(row, self.workpiece.seam_begins)
+
     def empty_plans(self) -> Plans:
         """Return plans without any attempted target, to be filled in; refused scenarios already have their status."""
         plans = Plans.empty(*map(np.asarray, (self.scenarios.x_start, self.scenarios.targets, self.scenarios.count)))

@@ -21,6 +21,7 @@ from .open import PlanSet, open_plans
 from .parameters import Parameters, of_job
 from .run_folder import Run, open_run
 from .running import RunningSummary
+from .seam_order import SeamOrder
 
 __all__ = [
     "Column",
@@ -29,6 +30,7 @@ __all__ = [
     "PlanSet",
     "Run",
     "RunningSummary",
+    "SeamOrder",
     "checkpoint",
     "columns",
     "finite",

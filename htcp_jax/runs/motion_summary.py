@@ -31,6 +31,7 @@ class MotionSummary(NamedTuple):
     after_transfer_m: float  # guaranteed clearance along the motion without the transfer
     after_transfer_target: int | None  # target at the end of the segment with this clearance
     on_path: int  # index of the first target on the path
+    seam_begins: tuple[int, ...]  # first targets of later seams
 
     def facts(self) -> dict[str, str]:
         """Return text by label: the executable part, why it ends, guaranteed clearance, transfer and dwells."""
@@ -76,7 +77,7 @@ class MotionSummary(NamedTuple):
     @property
     def phase(self) -> Kind:
         """Kind of the motion with the guaranteed clearance."""
-        if self.transfer_legs and self.clearance_target == 0:
+        if (self.transfer_legs and self.clearance_target == 0) or self.clearance_target in self.seam_begins:
             return Kind.TRANSFER
         return Kind.APPROACH if (self.clearance_target or 0) <= self.on_path else Kind.PROCESS
 
@@ -96,7 +97,7 @@ class MotionSummary(NamedTuple):
     def record(self) -> dict[str, Any]:
         """Return the summary as a mapping for JSON."""
         end, figures = self.end, self._asdict()
-        for name in ("end", "after_transfer_m", "after_transfer_target", "on_path"):
+        for name in ("end", "after_transfer_m", "after_transfer_target", "on_path", "seam_begins"):
             del figures[name]
         return {"executable": end.executable, "segment_status": end.segment_status.name, **figures}
 
@@ -118,7 +119,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
     largest = motion.largest_joint_steps(alone, on_path)
     there_is = not math.isnan(largest.step[0])
     there = motion.motions(alone, on_path)
-    transfer = there.steps[there.kind == Kind.TRANSFER]
+    transfer = there.steps[(there.kind == Kind.TRANSFER) & (there.target == 0)]
     return MotionSummary(
         end=plans.outcome(scenario),
         dwells=tuple(turning.tolist()),
@@ -136,6 +137,7 @@ def summarise_motion(plans: Plans, on_path: int, scenario: int = 0) -> MotionSum
         after_transfer_m=float(after_m),
         after_transfer_target=None if after < 0 else int(after),
         on_path=on_path,
+        seam_begins=plans.seam_begins,
     )
 
 

@@ -6,7 +6,7 @@ from .formats.controller_limits import exceeded_limits
 from .formats.parts import ProgramFile
 from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
-from .limits import stated_limits
+from .limits import own_rates, stated_limits
 from .limits_file import check_ranges, limits_of_job, limits_overrides
 from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, with_program
 from .program import Program
@@ -33,6 +33,7 @@ __all__ = [
     "joined_configurations",
     "limits_of_job",
     "limits_overrides",
+    "own_rates",
     "points_needed",
     "program_figures",
     "program_of",

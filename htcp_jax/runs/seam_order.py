@@ -1,0 +1,73 @@
+"""`SeamOrder`: the order of a plan's seams, as text and for files."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from htcp_jax.motion import Plans
+from htcp_jax.motion.plans import Outcome
+from htcp_jax.sequencing import SeamSequence
+from htcp_jax.spec import SeamConfig
+
+
+class SeamVisit(NamedTuple):
+    """A seam that is done."""
+
+    name: str
+    direction: str  # forward or backward
+    first: int  # first target
+    last: int  # last target
+    air_move_s: float | None  # time of the air move to it, at the joints' full speed; None if the motion begins here
+    clearance_m: float  # guaranteed clearance along the seam and the air move to it
+
+
+class SeamOrder(NamedTuple):
+    """The seams in their order of work, and the reasons why others are missing."""
+
+    visits: tuple[SeamVisit, ...]
+    missing: dict[str, str]  # name of the seam -> reason
+    time_s: float  # of the whole motion at the joints' full speed
+    bound_s: float  # lower bound on this time for all orders of the seams' plans
+
+    @classmethod
+    def of(
+        cls, seams: Sequence[SeamConfig], plans: Plans, sequence: SeamSequence, missing: Mapping[str, Outcome]
+    ) -> "SeamOrder":
+        """Return the order of a plan.
+
+        Args:
+            seams: The seams that are done, in order.
+            plans: The plan of all seams.
+            sequence: The order.
+            missing: The outcome of each seam that is not done, by name.
+        """
+        bounds = [0, *plans.seam_begins, plans.status.shape[1]]
+        times: list[float | None] = [move.time_s for move in sequence.moves]
+        times = times if len(times) == len(seams) else [None, *times]
+        visits = [
+            SeamVisit(seam.name, seam.direction, a, b - 1, time, float(plans.segment_clearance[0, a:b].min()))
+            for seam, a, b, time in zip(seams, bounds, bounds[1:], times, strict=False)
+        ]
+        return cls(tuple(visits), {name: _reason(end) for name, end in missing.items()}, *sequence[3:5])
+
+    def facts(self) -> dict[str, str]:
+        """Return the order as text by label."""
+        done = ", ".join(f"{visit.name} ({visit.direction})" for visit in self.visits) or "no seam"
+        gap = 100 * (1 - self.bound_s / self.time_s) if self.time_s else 0.0
+        least = "no order of these plans is shorter" if gap < 0.05 else f"at most {gap:.1f} % above the shortest order"
+        count = f"{len(self.visits)} of {len(self.visits) + len(self.missing)}"
+        return {"seams": f"{count}: {done}", "order": f"{self.time_s:.3g} s at the joints' full speed; {least}"}
+
+    def failure(self) -> dict[str, str]:
+        """Return the reason for each missing seam, by label."""
+        return {f"seam {name}": reason for name, reason in self.missing.items()}
+
+    def record(self) -> dict[str, Any]:
+        """Return the order as a mapping for JSON."""
+        return {**self._asdict(), "visits": [visit._asdict() for visit in self.visits]}
+
+
+def _reason(end: Outcome) -> str:
+    """Return the reason why a seam has no motion."""
+    if end.status is None:
+        return f"target {end.executable} of {end.targets}: {end.segment_status.message}"
+    return f"target {end.failed} of {end.targets}: {end.status.message}"

@@ -1,0 +1,102 @@
+"""Air moves: proven joint paths between the ends of seams, and from and to home.
+
+A joint path that is proven in one direction is one in the other, too, so each pair of configurations is joined once.
+If two configurations are not joined directly, the arm may pass through home.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from htcp_jax.device import devices
+from htcp_jax.motion import Problem, joint_search
+
+FIRST_PAIR = 1_000_000  # number of the first pair, which seeds its random numbers; those from home are smaller
+
+
+class AirMove(NamedTuple):
+    """A proven joint path between two configurations."""
+
+    via_points: Float[np.ndarray, "_ N"]  # [rad or m]
+    time_s: float  # at the joints' full speed
+
+
+class AirMoves:
+    """Air moves between configurations, which are joined when they are asked for.
+
+    Attributes:
+        configurations: The configurations [rad or m], one row each; the last row is home if there is one.
+        speed: Full speeds of the joints [rad/s or m/s].
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        configurations: Float[np.ndarray, "n N"],
+        home: Float[np.ndarray, "N"] | None,
+        speed: Float[np.ndarray, "N"],
+        report: Callable[[int], None] = lambda joined: None,
+    ):
+        self._problem, self.speed, self._report = problem, speed, report
+        self.home = None if home is None else len(configurations)
+        self.configurations = configurations if home is None else np.concatenate([configurations, home[None]])
+        self._known: dict[tuple[int, int], AirMove | None] = {}
+
+    def least_time_s(self, a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "*n"]:
+        """Return a lower bound on the time between configurations, given by their rows: that of the straight path."""
+        return (np.abs(self.configurations[a] - self.configurations[b]) / self.speed).max(axis=-1)
+
+    def find(self, pairs: Iterable[tuple[int, int]]) -> None:
+        """Join pairs of configurations, given by their rows; those that are known already are not joined again."""
+        new = self._join({_sorted(pair) for pair in pairs})
+        if self.home is not None:
+            legs = {_sorted((end, self.home)) for pair in new if self._known[pair] is None for end in pair}
+            self._join(legs)
+
+    def between(self, a: int, b: int) -> AirMove | None:
+        """Return the air move from one configuration to another, through home if necessary; None if none is known."""
+        direct = self._known.get(_sorted((a, b)))
+        if direct is not None or self.home in (None, a, b):
+            return direct and (direct if a < b else direct._replace(via_points=direct.via_points[::-1]))
+        to, back = self.between(a, self.home), self.between(self.home, b)
+        if to is None or back is None:
+            return None
+        home = self.configurations[self.home][None]
+        return AirMove(np.concatenate([to.via_points, home, back.via_points]), to.time_s + back.time_s)
+
+    def is_known(self, a: int, b: int) -> bool:
+        """Return True if the pair has been joined, or the attempt has failed."""
+        return _sorted((a, b)) in self._known
+
+    def _join(self, pairs: set[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Join those pairs that are not known, and return them."""
+        new = sorted(pair for pair in pairs if pair not in self._known)
+        if not new:
+            return new
+        a, b = np.array(new).T
+        count, checker = len(self.configurations), self._problem.checkers[0]
+        with devices.on(checker.executor.device):
+            found = joint_search.join(
+                checker,
+                self._problem.scenarios,
+                np.zeros(len(new), int),
+                FIRST_PAIR + a * count + b,
+                self.configurations[a],
+                self.configurations[b],
+                self._problem.settings,
+                report=self._report,
+            )
+        for pair, via_points in zip(new, found, strict=True):
+            self._known[pair] = None if via_points is None else AirMove(via_points, self._time_s(pair, via_points))
+        return new
+
+    def _time_s(self, pair: tuple[int, int], via_points: np.ndarray) -> float:
+        a, b = self.configurations[list(pair)]
+        steps = np.diff(np.concatenate([a[None], via_points, b[None]]), axis=0)
+        return float((np.abs(steps) / self.speed).max(axis=1).sum())
+
+
+def _sorted(pair: tuple[int, int]) -> tuple[int, int]:
+    return (pair[0], pair[1]) if pair[0] < pair[1] else (pair[1], pair[0])

@@ -1,0 +1,149 @@
+"""Order of a part's seams, and the proven motion through all of them.
+
+The order is a generalised travelling-salesman problem: each seam is done once, by one of its plans, in one direction.
+The cost of an air move that is not proven yet is a lower bound, the time of the straight joint path. The shortest order
+is found, its air moves are proven, those that take longer get their true cost, and the order is found again, until all
+air moves in it are proven. Its cost is then that of the motion, and the bound holds for all orders of these plans.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from htcp_jax.motion import Plans, Problem, Retract, ViaPoints, motion, motion_check
+from htcp_jax.sequencing.air_moves import AirMove, AirMoves
+from htcp_jax.sequencing.order import Order, shortest_order
+from htcp_jax.sequencing.seam_plans import SeamPlan, in_order
+from htcp_jax.settings import Settings
+
+ROUNDS = 30  # maximum number of orders that are found and proven
+
+
+class SeamSequence(NamedTuple):
+    """Seams in their order of work, with proven air moves."""
+
+    visits: list[SeamPlan]
+    moves: list[AirMove]  # the air move to each visit but the first and, with a home, from home to the first one
+    retract: AirMove | None  # from the last visit to home; None without a home
+    cost_s: float  # time of the whole motion at the joints' full speed
+    bound_s: float  # lower bound on this time for all orders of the same plans
+    rounds: int  # number of orders whose air moves were proven
+
+
+def find_sequence(
+    problem: Problem,
+    seams: Int[np.ndarray, "P"],
+    plans: Sequence[SeamPlan],
+    before: Sequence[tuple[int, int]],
+    home: Float[np.ndarray, "N"] | None,
+    speed: Float[np.ndarray, "N"],
+    report: Callable[[int], None] = lambda joined: None,
+) -> SeamSequence:
+    """Return the shortest order of seams that is found, with proven air moves.
+
+    A seam to which no air move leads is skipped.
+
+    Args:
+        problem: The problem; its first scenario has the margins of transfers.
+        seams: Number of the seam of each plan.
+        plans: Proven motions along the seams.
+        before: Pairs of seams, the first of which must be done before the second.
+        home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
+        speed: Full speeds of the joints [rad/s or m/s].
+        report: Function that is called with the number of newly joined pairs.
+    """
+    nodes = _nodes(seams, plans, speed)
+    moves = AirMoves(problem, nodes.configurations, home, speed, report)
+    cost = _least_times(moves)
+    best, bound_s, hint, rounds = (np.inf, list[int]()), 0.0, None, 0
+    for rounds in range(1, ROUNDS + 1):
+        order = _order(nodes, cost, moves.home, before, problem.settings, hint)
+        pairs = _pairs(nodes, order.nodes, moves.home)
+        bound_s, hint = max(bound_s, order.bound), order.nodes
+        new = [pair for pair in pairs if not moves.is_known(*pair)]
+        moves.find(new)
+        for a, b in new:
+            move = moves.between(a, b)
+            cost[a, b] = cost[b, a] = np.inf if move is None else move.time_s
+        time_s = float(nodes.own_s[order.nodes].sum() + sum(cost[pair] for pair in pairs))
+        best = min(best, (time_s, order.nodes), key=lambda each: each[0])
+        if not new:
+            break
+    time_s, chosen = best
+    legs = [moves.between(*pair) for pair in _pairs(nodes, chosen, moves.home)]
+    has_home = moves.home is not None
+    return SeamSequence(
+        [plans[k] for k in chosen], legs[:-1] if has_home else legs, legs[-1] if has_home else None,
+        time_s, min(bound_s, time_s), rounds,
+    )  # fmt: skip
+
+
+def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plans]) -> Plans:
+    """Return the plan of all seams: one motion from home through the seams, and back home in `Plans.retract`.
+
+    Args:
+        problem: The problem whose only scenario has the targets of all seams: in the order of work, then the missing.
+        sequence: The seams that are done, with their air moves.
+        missing: Plans of the seams that are not done.
+    """
+    visits, has_home = sequence.visits, sequence.retract is not None
+    plans = in_order([visit.plans for visit in visits], missing)
+    first = np.array([0, *plans.seam_begins][: len(visits)])  # target 0 is the first seam's first point, repeated
+    start = problem.scenarios.x_home if has_home else plans.start
+    to = first.tolist() if has_home else first[1:].tolist()
+    added = [(0, target, move.via_points) for target, move in zip(to, sequence.moves, strict=True)]
+    known = plans.via_points
+    added += [(0, int(t), known.x[k][None], known.share[k][None]) for k, t in enumerate(known.target)]
+    plans = plans.with_own("joint_step")._replace(start=start, via_points=ViaPoints.of(added, plans.x.shape[2]))
+    plans.joint_step[0, first] = np.linalg.norm(plans.x[0, first] - plans.before(np.zeros_like(first), first), axis=1)
+    plans = motion_check.tighten(problem, motion_check.verify_transfers(problem, plans))
+    if not has_home or not visits:
+        return plans
+    back = np.concatenate([sequence.retract.via_points, problem.scenarios.x_home])
+    clearance = motion_check.clearance_along(problem, np.concatenate([visits[-1].end[None], back]))
+    return plans._replace(retract=Retract(back, clearance))
+
+
+class _Nodes(NamedTuple):
+    """Plans as nodes of the order."""
+
+    seam: Int[np.ndarray, "P"]
+    own_s: Float[np.ndarray, "P"]  # times along the seams
+    configurations: Float[np.ndarray, "n N"]  # all ends of plans, without repetitions [rad or m]
+    begin: Int[np.ndarray, "P"]  # row of each plan's first configuration
+    end: Int[np.ndarray, "P"]  # row of its last one
+
+
+def _nodes(seams: np.ndarray, plans: Sequence[SeamPlan], speed: np.ndarray) -> _Nodes:
+    ends = np.concatenate([[plan.start for plan in plans], [plan.end for plan in plans]])
+    configurations, row = np.unique(ends, axis=0, return_inverse=True)
+    begin, end = row.reshape(2, -1)
+    own = [motion.motions(plan.plans, 0).x for plan in plans]
+    own_s = [float((np.abs(np.diff(x, axis=0)) / speed).max(axis=1, initial=0).sum()) for x in own]
+    return _Nodes(np.asarray(seams), np.array(own_s), configurations, begin, end)
+
+
+def _least_times(moves: AirMoves) -> Float[np.ndarray, "n n"]:
+    """Return the least times between all configurations [s]."""
+    rows = np.arange(len(moves.configurations))
+    return np.stack([moves.least_time_s(row, rows) for row in rows])
+
+
+def _order(nodes: _Nodes, cost: np.ndarray, home: int | None, before, settings: Settings, hint) -> Order:
+    """Return the shortest order for known costs of air moves."""
+    free = np.zeros(len(nodes.seam))
+    begin, end = (free, free) if home is None else (cost[home, nodes.begin], cost[nodes.end, home])
+    between = cost[nodes.end[:, None], nodes.begin[None]]
+    own = settings.seed, settings.effort
+    return shortest_order(nodes.seam, nodes.own_s, between, begin, end, before, seed=own[0], effort=own[1], hint=hint)
+
+
+def _pairs(nodes: _Nodes, order: Sequence[int], home: int | None) -> list[tuple[int, int]]:
+    """Return the configurations at both ends of each air move in an order, by row."""
+    ends, begins = nodes.end[list(order)].tolist(), nodes.begin[list(order)].tolist()
+    if home is not None:
+        ends, begins = [home, *ends], [*begins, home]
+        return list(zip(ends, begins, strict=True)) if order else []
+    return list(zip(ends, begins[1:], strict=False))
