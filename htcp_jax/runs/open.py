@@ -9,11 +9,12 @@ The viewer, the report and the validation use it.
 
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.motion import Plans, ViaPoints, plans
+from htcp_jax.motion import Plans, Retract, ViaPoints, plans
 from htcp_jax.runs import parameters, tables
 from htcp_jax.runs.finite import check_arrays
 from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
@@ -120,7 +121,8 @@ class FolderPlan:
         check_arrays(record.arrays, tables.READ | {"x": "x", "tcp": "tcp", "target": "target_xyz"}, folder / TRAJECTORY)
         via_points = _read_via_points(folder / TRAJECTORY, record, joints)
         arrays = {name: array[None] for name, array in record.arrays.items()}
-        self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0)
+        seams = _read_seams(folder / TRAJECTORY, record, joints)
+        self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0, **seams)
 
     def plans(self, method: str) -> Plans:
         """Return the plan, with a scenario axis of length 1 in each array. Its run times are 0; they are not saved."""
@@ -209,6 +211,24 @@ def _read_via_points(file: Path, record: PlanRecord, joints: int) -> ViaPoints:
     if wrong.any():
         raise InputError(f"{file} is damaged: a via point to target {target[wrong.argmax()]} is NaN or infinite")
     return ViaPoints(np.zeros(len(target), np.int32), target, x, share)
+
+
+def _read_seams(file: Path, record: PlanRecord, joints: int) -> dict[str, Any]:
+    """Return the fields of `Plans` for several seams.
+
+    Raises:
+        InputError: If the first targets of seams do not ascend, or if the retraction is not one.
+    """
+    count, begins = record.arrays["status"].size, record.seam_begins
+    if begins.ndim != 1 or begins.dtype.kind not in "iu" or (np.diff([0, *begins, count]) <= 0).any():
+        raise InputError(f"{file} is damaged: seam_begins is {begins}, for {count} targets")
+    if record.retract is None:
+        return {"seam_begins": tuple(begins.tolist())}
+    x, clearance = record.retract
+    finite = x.dtype.kind == clearance.dtype.kind == "f" and (np.abs(x) < files.LARGEST_NUMBER).all()
+    if x.shape != (len(clearance), joints) or not finite or not (np.abs(clearance) < files.LARGEST_NUMBER).all():
+        raise InputError(f"{file} is damaged: the retraction has the shape {x.shape}, or is not finite")
+    return {"seam_begins": tuple(begins.tolist()), "retract": Retract(x, clearance)}
 
 
 def _check_shapes(file: Path, arrays: dict[str, np.ndarray], joints: int) -> None:

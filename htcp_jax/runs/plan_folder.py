@@ -33,6 +33,8 @@ class PlanRecord(NamedTuple):
     files: dict[str, str]  # SHA-256 of the files that the job names, by path
     arrays: dict[str, np.ndarray]  # fields of `Plans` by name, for the plan's only scenario
     via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,); see `ViaPoints`
+    seam_begins: np.ndarray  # first targets of later seams
+    retract: tuple[np.ndarray, np.ndarray] | None  # fields of `Retract`; None: the motion reversed
 
 
 def refuse_run(folder: Path) -> None:
@@ -58,7 +60,9 @@ def read_plan(folder: Path) -> PlanRecord:
         found = arrays.read_arrays(folder / TRAJECTORY, folder, leave=("joint_names",))
         target, x = found["via_point_target"], found["via_point_x"]
         via_points = target, x, found.get("via_point_share", np.zeros(len(target)))
-        return PlanRecord(method, config, hashes, {name: found[name] for name in plan_arrays.ARRAYS}, via_points)
+        own = {name: found[name] for name in plan_arrays.ARRAYS}
+        back = (found["retract_x"], found["retract_clearance"]) if "retract_x" in found else None
+        return PlanRecord(method, config, hashes, own, via_points, found.get("seam_begins", np.zeros(0, int)), back)
     except OSError as error:
         raise InputError(f"{folder} contains no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:
@@ -144,7 +148,8 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     """Write the arrays of one scenario as an .npz file without pickles, under the names of the fields of `Plans`.
 
     The array `start` has the shape (N,). Additional arrays are `joint_names` and, for n via points, `via_point_target`
-    (n,), `via_point_x` (n, N) and `via_point_share` (n,), see `ViaPoints`.
+    (n,), `via_point_x` (n, N) and `via_point_share` (n,), see `ViaPoints`. With several seams, also `seam_begins`, and
+    `retract_x` (R, N) and `retract_clearance` (R,), see `Retract`.
 
     Args:
         file: The file.
@@ -160,6 +165,10 @@ def write_trajectory_npz(file: Path, robot: Robot, plans: Plans, row: int = 0) -
     names = np.array(robot.joint_names)
     stream = io.BytesIO()
     arrays |= {f"via_point_{name}": getattr(via_points, name) for name in ("target", "x", "share")}
+    if plans.seam_begins:
+        arrays["seam_begins"] = np.array(plans.seam_begins)
+    if plans.retract is not None:
+        arrays |= {f"retract_{name}": array for name, array in plans.retract._asdict().items()}
     np.savez_compressed(stream, joint_names=names, **arrays)
     files.write_atomically(file.parent, file.name, stream.getvalue())
 

@@ -60,7 +60,8 @@ def _track(method: str, number: int, config: PlanConfig, plans: Plans) -> Track:
 def data_of(loaded: Workpiece) -> WorkpieceData:
     """Return a loaded workpiece's data for validation, without computed data such as hull, normals and tangents."""
     mesh, cover_m = loaded.triangles, loaded.covering_radius_m
-    return WorkpieceData(loaded.cloud, loaded.path, loaded.inlet, mesh, cover_m, *loaded.frames)
+    own = loaded.cloud, loaded.path, loaded.inlet, mesh, cover_m
+    return WorkpieceData(*own, *loaded.frames, seam_begins=loaded.seam_begins)
 
 
 def _workpieces() -> Callable[[PlanConfig], WorkpieceData]:

@@ -55,6 +55,7 @@ class WorkpieceData:
     given_normals: Float[np.ndarray, "T 3"] | None
     given_tangents: Float[np.ndarray, "T 3"] | None
     rotations: Float[np.ndarray, "T 3 3"] | None
+    seam_begins: tuple[int, ...] = ()  # first points of the second and of each later seam
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "T 3"]:
@@ -63,8 +64,10 @@ class WorkpieceData:
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
-        """Unit tangents of the path."""
-        return tangents_of(self.path) if self.given_tangents is None else self.given_tangents
+        """Unit tangents of the path, along each seam."""
+        if self.given_tangents is not None:
+            return self.given_tangents
+        return np.concatenate([tangents_of(seam) for seam in np.split(self.path, self.seam_begins)])
 
 
 class Results(NamedTuple):

@@ -94,6 +94,8 @@ def check(
         InputError: If the number of saved targets differs from the configuration's.
     """
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
+    begins = on_path + np.array(results.workpiece(track.config).seam_begins, int)
+    follows = (np.arange(len(targets)) > on_path) & ~np.isin(np.arange(len(targets)), begins)
     task, settings = track.config.task, track.config.settings
     t = np.flatnonzero(track.tracked)
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
@@ -120,19 +122,21 @@ def check(
     speed, in_place = _speed(arm, moved, np.linalg.norm(line, axis=1), tolerance)
     if track.config.home_rad is not None:
         in_place[paths.target == 0] = 0.0  # the motion to the first target begins at home
+    between_seams = np.isin(paths.target, begins)
+    in_place[between_seams], speed[between_seams] = 0.0, 0.0
     sampled = track.claimed[paths.target] if only_claimed else np.ones(len(paths.target), bool)
     least = max(0.0, float(at.clearance.min()), track.config.segment_margin_m)
-    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, on_path, least, progress)
+    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, follows, least, progress)
     on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
     reasons = (
         *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
         *_on_start(arm, track, at.clearance[0]),
         *_on_via_points(arm, track, paths),
-        *_on_segments(track, paths, between_rows, on_path),
-        *_on_joint_steps(arm, track, paths, on_path),
+        *_on_segments(track, paths, between_rows, follows),
+        *_on_joint_steps(arm, track, paths, follows),
         *_on_rows(rows_hold, on),
-        *_on_rows_between(results, arm, track, scene, paths, between, on_path),
+        *_on_rows_between(results, arm, track, scene, paths, between, on_path, follows),
     )
     return TrackCheck(
         method=track.method,
@@ -233,10 +237,17 @@ def _on_rows(rows: list[RowCheck], t: np.ndarray) -> Iterator[tuple[int, str]]:
 
 
 def _on_rows_between(
-    results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, paths: JointPaths, between: int, on_path: int
+    results: Results,
+    arm: MujocoArm,
+    track: Track,
+    scene: CheckedScene,
+    paths: JointPaths,
+    between: int,
+    on_path: int,
+    follows: Bool[np.ndarray, "T"],
 ) -> Iterator[tuple[int, str]]:
     """Yield the targets of proven segments along the path on which a row of the task is violated."""
-    task, own = track.config.task, np.flatnonzero(track.proven[paths.target] & (paths.target > on_path))
+    task, own = track.config.task, np.flatnonzero((track.proven & follows)[paths.target])
     if not task or between < 2 or not len(own):
         return
     share = np.arange(1, between) / between
@@ -315,7 +326,9 @@ def _on_via_points(arm: MujocoArm, track: Track, paths: JointPaths) -> Iterator[
             yield target, "the shares of its via points do not increase from 0 to 1"
 
 
-def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any], on_path: int) -> list[tuple[int, str]]:
+def _on_segments(
+    track: Track, paths: JointPaths, found: dict[str, Any], follows: Bool[np.ndarray, "T"]
+) -> list[tuple[int, str]]:
     """Return the targets of segments that are saved as proven motions, but collide, leave the path or lack the margin.
 
     A clearance on the path may be RECORD_M less than the margin.
@@ -333,7 +346,7 @@ def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any], on_path
         short = f"{1e3 * found['clearance_between'][k]:.3f} mm on the segment, {1e3 * guaranteed[k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the clearance is {short} are recorded as guaranteed")
     least_m, near_m = track.config.segment_margin_m, found["clearance_between"]
-    near = (least_m > 0) & proven & (paths.target > on_path) & ~(near_m >= least_m - RECORD_M)
+    near = (least_m > 0) & proven & follows[paths.target] & ~(near_m >= least_m - RECORD_M)
     for k in np.flatnonzero(near).tolist():
         nearest = f"{1e3 * near_m[k]:.3f} mm, less than margin_m"
         reasons.setdefault(int(paths.target[k]), f"the segment is recorded as valid, but has a clearance of {nearest}")
@@ -343,7 +356,9 @@ def _on_segments(track: Track, paths: JointPaths, found: dict[str, Any], on_path
     return sorted(reasons.items())
 
 
-def _on_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: int) -> Iterator[tuple[int, str]]:
+def _on_joint_steps(
+    arm: MujocoArm, track: Track, paths: JointPaths, follows: Bool[np.ndarray, "T"]
+) -> Iterator[tuple[int, str]]:
     """Yield the targets of segments along the path on which a joint travels farther than the job allows."""
     if (most := track.config.settings.max_joint_step_rad) is None:
         return
@@ -351,7 +366,7 @@ def _on_joint_steps(arm: MujocoArm, track: Track, paths: JointPaths, on_path: in
     np.add.at(travel, paths.target, np.abs(paths.b - paths.a))
     excess = travel - np.asarray(most)
     for target in np.flatnonzero(~(excess <= ROUNDING_M).all(axis=1)).tolist():
-        if target > on_path:
+        if follows[target]:
             joint = int(excess[target].argmax())
             travelled = f"{travel[target, joint]:.6g} on the segment, more than the job allows"
             yield target, f"{arm.joints[joint]} travels {travelled}"
@@ -364,14 +379,14 @@ def _check_paths(
     sampled: Bool[np.ndarray, "m"],
     between: int,
     step_rad: float,
-    on_path: int,
+    follows: Bool[np.ndarray, "T"],
     least_m: float,
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Return collision, minimum clearance and path deviation of each sampled joint path, as fields of `TrackCheck`.
 
     A clearance is inf if it is larger than `least_m`. The path deviation is the TCP's distance from its line; it
-    is 0 up to the path's first point, target `on_path`, because the approach may deviate.
+    is 0 for targets where `follows` is False: up to the path's first point, and between seams.
     """
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
@@ -387,7 +402,7 @@ def _check_paths(
         arm_poses, clearance = scene.between(x, paths.row[path], at, least_m)
         np.minimum.at(least, path, clearance)
         off = np.where(
-            paths.target[path] > on_path, from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0
+            follows[paths.target[path]], from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0
         )
         np.maximum.at(deviation, path, off)
     return {"touches": ~(least > 0), "clearance_between": least, "deviation": deviation}
