@@ -205,7 +205,7 @@ class _Search:
         """Show the number of tracked targets and, after LONG_S without a further one, the target that is searched."""
         if now.targets_tracked != self._tracked:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
-        is_long = self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
+        is_long = not now.phase and self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
         self._text = f"; searching for a motion to target {self._tracked}" if is_long and now.starts != 0 else ""
         phase = "; finding the start" if now.starts == 0 else ""
-        self._progress(self._tracked, now.targets, phase + self._text)
+        self._progress(self._tracked, now.targets, phase + self._text + now.phase)

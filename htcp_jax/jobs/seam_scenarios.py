@@ -70,9 +70,7 @@ def in_order(
     job = _with_seams(found.job, [found.job.workpiece.seams[variant] for variant in [*done, *first]])
     points, begins = points_of_seams(job.workpiece)
     xyz = points.xyz - np.asarray(found.workpiece.origin)
-    workpiece = replace(
-        found.workpiece, path=xyz, frames=points.frames, seam_begins=begins, name=job.workpiece.path_label
-    )
+    workpiece = found.workpiece.with_path(job.workpiece.path_label, xyz, points.frames, begins)
     return job, workpiece, build.scenario_of(job, robot, workpiece, beyond_reach="record")
 
 

@@ -5,6 +5,7 @@ every clearance. The hull is for the interior rule of the clearance: deep behind
 the hull has pierced the wall.
 """
 
+import copy
 import enum
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -117,6 +118,19 @@ class Workpiece:
             if array is not None:
                 array.setflags(write=False)
             object.__setattr__(self, name, array)  # a frozen dataclass; written here only
+
+    def with_path(
+        self, name: str, path: Float[np.ndarray, "T 3"], frames: PathFrames, seam_begins: tuple[int, ...]
+    ) -> "Workpiece":
+        """Return the part with another path [m], and the same walls and hull."""
+        other = copy.copy(self)
+        for cached in ("normals", "tangents"):
+            other.__dict__.pop(cached, None)
+        path = points(path, f"path of {name}", 1)
+        path.setflags(write=False)
+        for field_name, value in {"name": name, "path": path, "frames": frames, "seam_begins": seam_begins}.items():
+            object.__setattr__(other, field_name, value)
+        return other
 
     def T_world(
         self, wy: float, wz: float, shift: Triple = (0.0, 0.0, 0.0), wx: float = 0.0

@@ -36,6 +36,7 @@ class Progress(NamedTuple):
     targets_tracked: int
     targets: int
     starts: int | None = None  # number of starts chosen, and joined to home, so far; None before the first attempt
+    phase: str = ""  # text about the work after the first plans, such as "; order 2: 3 air moves"
 
 
 def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Progress], None] | None = None) -> Plans:

@@ -50,11 +50,34 @@ class PathDeviation(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """Path of a job as a polyline."""
+    """Path of a job as a polyline for each seam."""
 
     points: Float[np.ndarray, "T 3"]  # world, or the part's frame if the part moves [m]
     goals: Float[np.ndarray, "T G"]
-    along: Float[np.ndarray, "T"]  # length from the first point [m]
+    along: Float[np.ndarray, "T"]  # length from the first point, without the gaps between seams [m]
+    begins: tuple[int, ...]  # first points of the second and of each later seam
+
+    @property
+    def gaps(self) -> Int[np.ndarray, "_"]:
+        """Pieces of the polyline that lead from seam to seam."""
+        return np.array(self.begins, int) - 1
+
+    def between_ends(
+        self, distance: Float[np.ndarray, "n"], place: Float[np.ndarray, "n"], near_m: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Return True from the first to the last of the configurations near each seam.
+
+        Args:
+            distance: Distances from the path [m].
+            place: Places of the path's nearest points, counted in targets.
+            near_m: Distance within which configurations count as near [m].
+        """
+        found, seam = np.zeros(len(place), bool), np.searchsorted(self.begins, place, "right")
+        for number in range(1 + len(self.begins)):
+            near = np.flatnonzero((distance <= near_m) & (seam == number))
+            if len(near):
+                found[near[0] : near[-1] + 1] = True
+        return found
 
 
 def has_path(problem: Problem) -> bool:
@@ -122,18 +145,18 @@ def path_deviation(
 def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDeviation | None:
     """Return the deviation of TCP positions from the path [m]; None without a path, or if no position is near it.
 
-    The positions from the first to the last one that is near the path are compared.
+    The positions from the first to the last one that is near each seam are compared.
     """
     path, near_m = _path(problem), near_path_m(problem)
     if path is None or not len(points):
         return None
     distance, place = _nearest(path, points)
-    near = np.flatnonzero(distance <= near_m)
-    if not len(near):
+    compared = np.flatnonzero(path.between_ends(distance, place, near_m))
+    if not len(compared):
         return None
-    first, last = int(near[0]), int(near[-1])
-    worst = first + int(distance[first : last + 1].argmax())
-    covered = _covered(path, points[first : last + 1], place[first : last + 1], distance[first : last + 1] <= near_m)
+    first, last = int(compared[0]), int(compared[-1])
+    worst = int(compared[distance[compared].argmax()])
+    covered = _covered(path, points[compared], place[compared], distance[compared] <= near_m)
     tolerance_m, length_m = float(problem.settings.tube_m), float(path.along[-1])
     return PathDeviation(first, last, float(distance[worst]), worst, tolerance_m, length_m, covered, ())
 
@@ -148,8 +171,11 @@ def _path(problem: Problem) -> _Path | None:
     points, goals = np.asarray(here.targets[0][rows, :3], float), np.asarray(here.goals[0][rows], float)
     if len(points) < 2:
         return None
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    return _Path(points, goals, along) if along[-1] > 0 else None
+    begins = problem.workpiece.seam_begins
+    pieces = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    pieces[np.array(begins, int) - 1] = 0.0
+    path = _Path(points, goals, np.append(0.0, np.cumsum(pieces)), begins)
+    return path if path.along[-1] > 0 else None
 
 
 def _process(
@@ -159,11 +185,8 @@ def _process(
     on_path = () if kind is None else [name.lower() in PROCESS for name in kind[1:]]
     if any(on_path):
         return np.array(on_path)
-    on = np.zeros(len(x) - 1, bool)
-    near = np.flatnonzero(_nearest(path, tcp_positions(problem, x))[0] <= near_m)
-    if len(near):
-        on[near[0] : near[-1]] = True
-    return on
+    there = path.between_ends(*_nearest(path, tcp_positions(problem, x)), near_m)
+    return there[:-1] & there[1:]
 
 
 def _nearest(path: _Path, points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
@@ -180,6 +203,7 @@ def _nearest(path: _Path, points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.nd
         off = points[first : first + size, None] - a
         share = np.clip((off * d).sum(axis=2) / squared, 0, 1)
         apart = np.linalg.norm(off - share[..., None] * d, axis=2)
+        apart[:, path.gaps] = np.inf
         least = apart.min(axis=1)
         distance[first : first + size] = least
         for k in range(len(least)):

@@ -5,7 +5,7 @@ configurations far apart from each other are sampled at its first target, and th
 is also planned from home, so that a seam that a job of its own would complete is completed here. If the task is the same in both directions, a proven motion is one in the other direction, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import devices
 from htcp_jax.model import Scenario
-from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Plans, Problem, ViaPoints, configurations, transfers
 from htcp_jax.planning import Method, batch
 from htcp_jax.status import Status
@@ -49,8 +48,13 @@ class SeamPlans(NamedTuple):
     best: dict[int, Plans]  # seam -> the plan that leads furthest, for seams without a proven motion
 
 
-def plan_seams(problem: Problem, variants: Variants, method: Method, progress=None) -> SeamPlans:
+def plan_seams(
+    problem: Problem, variants: Variants, method: Method, progress: Callable[[batch.Progress], None] | None = None
+) -> SeamPlans:
     """Return the proven motions along all seams.
+
+    All variants are planned from home. Those of seams for which this succeeds are planned from other configurations,
+    too, without searches after dead ends.
 
     Args:
         problem: The problem; its scenarios are the variants.
@@ -58,34 +62,52 @@ def plan_seams(problem: Problem, variants: Variants, method: Method, progress=No
         method: The planning method.
         progress: See `batch.plan`.
     """
-    variant, x = _starts(problem)
-    refused = problem.empty_plans()
-    best = {}
-    for v, seam in enumerate(variants.seam.tolist()):
-        plan = refused.rows([v])
-        if plan.status[0, 0] == Status.NOT_ATTEMPTED:
-            plan.status[0, 0] = Status.NO_START
-        best.setdefault(seam, _on_path(plan.narrowed(), int(problem.scenarios.on_path[v])))
-    if not len(problem.to_plan):
+    every, scenarios = problem.to_plan, problem.scenarios
+    nothing = problem.empty_plans()
+    best = {int(seam): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, seam in enumerate(variants.seam)}
+    if not len(every):
         return SeamPlans([], best)
-    variant, scenarios = _with_starts(problem, variant, x)
-    settings = replace(problem.settings, transfers=False)
-    plans = batch.plan(replace(problem, scenarios=scenarios, settings=settings), method, progress)
-    ends = plans.outcomes
-    found = list[SeamPlan]()
-    for row, v in enumerate(variant.tolist()):
-        own = _on_path(plans.rows([row]).narrowed(), int(scenarios.on_path[row]))
-        seam = int(variants.seam[v])
-        if ends.can_be_driven[row]:
-            found.append(SeamPlan(v, own, own.x[0, 0], own.x[0, -1]))
-        elif ends.executable[row] >= best[seam].executable.sum():
-            best[seam] = own
-    done = {int(variants.seam[each.variant]) for each in found}
+    from_home = jax.tree.map(lambda leaf: leaf[every], scenarios)
+    found = _plans(replace(problem, scenarios=_numbered(from_home, 0)), every, method, progress, "")
+    for plan in found:
+        seam = int(variants.seam[plan.variant])
+        if plan.plans.executable.sum() >= best[seam].executable.sum():
+            best[seam] = plan.plans
+    found = [plan for plan in found if plan.plans.outcome(0).can_be_driven]
+    done = {int(variants.seam[plan.variant]) for plan in found}
+    variant, x = _starts(problem, every[np.isin(variants.seam[every], sorted(done))])
+    if len(variant):
+        begun = jax.tree.map(lambda leaf: leaf[variant], scenarios)
+        begun = replace(begun, x_start=x, x_home=x.copy(), auto_start=np.zeros(len(variant), bool))
+        settings = replace(problem.settings, transfers=False, effort=0.0)
+        further = replace(problem, scenarios=_numbered(begun, len(every)), settings=settings)
+        made = _plans(further, variant, method, progress, "; from other configurations")
+        found += [plan for plan in made if plan.plans.outcome(0).can_be_driven]
     return SeamPlans(_both_directions(problem, variants, found), {s: best[s] for s in best if s not in done})
 
 
-def _on_path(plan: Plans, first: int) -> Plans:
-    """Return the plan of a scenario's targets from `first` on; if all of them fail, the first has the earlier status."""
+def _plans(
+    problem: Problem,
+    variant: np.ndarray,
+    method: Method,
+    progress: Callable[[batch.Progress], None] | None,
+    phase: str,
+) -> list[SeamPlan]:
+    """Return the plans of scenarios, each of a variant, on the path."""
+    report = progress and (lambda now: progress(now._replace(phase=phase)))
+    plans, on_path = batch.plan(problem, method, report), problem.scenarios.on_path
+    own = [_on_path(plans.rows([row]), on_path[row]) for row in range(len(variant))]
+    return [SeamPlan(v, each, each.x[0, 0], each.x[0, -1]) for v, each in zip(variant.tolist(), own, strict=True)]
+
+
+def _numbered(scenarios: Scenario, first: int) -> Scenario:
+    """Return the scenarios with consecutive numbers, from which random keys are derived."""
+    return replace(scenarios, number=first + np.arange(len(scenarios.number), dtype=scenarios.number.dtype))
+
+
+def _on_path(plan: Plans, on_path: np.integer) -> Plans:
+    """Return the plan of a scenario's targets on the path; if an earlier target failed, the first has its status."""
+    first, plan = int(on_path), plan.narrowed()
     found = {name: array[:, first:].copy() for name, array in plan.arrays().items() if name != "start"}
     failed = plan.outcome(0).failed
     if failed is not None and failed < first:
@@ -104,9 +126,9 @@ def _with_first_repeated(plan: Plans) -> Plans:
     return plan._replace(**found, via_points=plan.via_points._replace(target=plan.via_points.target + 1))
 
 
-def _starts(problem: Problem) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
-    """Return configurations at the first targets of the variants, far apart from each other, and their variants."""
-    settings, rows = problem.settings, problem.to_plan
+def _starts(problem: Problem, rows: np.ndarray) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
+    """Return configurations at the first targets of some variants, far apart from each other, and their variants."""
+    settings = problem.settings
     variant, x, clearance = (np.empty(0, int), np.empty((0, problem.scenarios.x_start.shape[1])), np.empty(0))
     checker = problem.checkers[0]
     with devices.on(checker.executor.device):
@@ -123,22 +145,6 @@ def _starts(problem: Problem) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "
     variant, x = variant[order], x[order]
     kept = configurations.dispersed(x, variant, STARTS, settings.beam_separation_rad)
     return variant[kept], x[kept]
-
-
-def _with_starts(problem: Problem, variant: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, Scenario]:
-    """Return the variants and their scenarios: from home, and from each of some configurations at the first target.
-
-    Args:
-        problem: The problem.
-        variant: The variant of each configuration.
-        x: The configurations [rad or m].
-    """
-    from_home = problem.to_plan
-    alone, own = (jax.tree.map(lambda leaf, rows=rows: leaf[rows], problem.scenarios) for rows in (from_home, variant))
-    begun = replace(own, x_start=x, x_home=x.copy(), auto_start=np.zeros(len(variant), bool))
-    every = scenario_functions.concatenate([alone, begun])
-    number = np.arange(len(every.number), dtype=every.number.dtype)
-    return np.append(from_home, variant), replace(every, number=number)
 
 
 def _both_directions(problem: Problem, variants: Variants, found: list[SeamPlan]) -> list[SeamPlan]:
@@ -180,7 +186,7 @@ def _reversed(plan: SeamPlan, variant: int) -> SeamPlan:
 def not_joined(problem: Problem, variants: Variants, seam: int) -> Plans:
     """Return the plan of a seam to which no air move leads."""
     v = int(np.flatnonzero(variants.seam == seam)[0])
-    plan = _on_path(problem.empty_plans().rows([v]).narrowed(), int(problem.scenarios.on_path[v]))
+    plan = _on_path(problem.empty_plans().rows([v]), problem.scenarios.on_path[v])
     plan.status[0, 0] = Status.HOME_NOT_JOINED
     return plan
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.motion import Plans, Problem, Retract, ViaPoints, motion, motion_check
+from htcp_jax.planning import Progress
 from htcp_jax.sequencing.air_moves import AirMove, AirMoves
 from htcp_jax.sequencing.order import Order, shortest_order
 from htcp_jax.sequencing.seam_plans import SeamPlan, in_order
@@ -39,7 +40,7 @@ def find_sequence(
     before: Sequence[tuple[int, int]],
     home: Float[np.ndarray, "N"] | None,
     speed: Float[np.ndarray, "N"],
-    report: Callable[[int], None] = lambda joined: None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> SeamSequence:
     """Return the shortest order of seams that is found, with proven air moves.
 
@@ -52,10 +53,12 @@ def find_sequence(
         before: Pairs of seams, the first of which must be done before the second.
         home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
         speed: Full speeds of the joints [rad/s or m/s].
-        report: Function that is called with the number of newly joined pairs.
+        progress: See `batch.plan`; here it counts the air moves of the current order.
     """
-    nodes = _nodes(seams, plans, speed)
-    moves = AirMoves(problem, nodes.configurations, home, speed, report)
+    if not len(plans):
+        return SeamSequence([], [], None, 0.0, 0.0, 0)
+    nodes, report = _nodes(seams, plans, speed), _Report(progress)
+    moves = AirMoves(problem, nodes.configurations, home, speed, report.add)
     cost = _least_times(moves)
     best, bound_s, hint, rounds = (np.inf, list[int]()), 0.0, None, 0
     for rounds in range(1, ROUNDS + 1):
@@ -63,6 +66,7 @@ def find_sequence(
         pairs = _pairs(nodes, order.nodes, moves.home)
         bound_s, hint = max(bound_s, order.bound), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
+        report.begin(rounds, len(new))
         moves.find(new)
         for a, b in new:
             move = moves.between(a, b)
@@ -104,6 +108,24 @@ def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plan
     back = np.concatenate([sequence.retract.via_points, problem.scenarios.x_home])
     clearance = motion_check.clearance_along(problem, np.concatenate([visits[-1].end[None], back]))
     return plans._replace(retract=Retract(back, clearance))
+
+
+class _Report:
+    """Progress of the orders and their air moves."""
+
+    def __init__(self, progress: Callable[[Progress], None] | None):
+        self._progress, self._now = progress, Progress(0, 0, 0, 0)
+
+    def begin(self, number: int, moves: int) -> None:
+        """Begin the air moves of an order."""
+        self._now = Progress(0, 1, 0, moves, phase=f"; air moves of order {number}")
+        self.add(0)
+
+    def add(self, joined: int) -> None:
+        """Count air moves that are found."""
+        self._now = self._now._replace(targets_tracked=self._now.targets_tracked + joined)
+        if self._progress is not None:
+            self._progress(self._now)
 
 
 class _Nodes(NamedTuple):
