@@ -62,21 +62,21 @@ class _Path(NamedTuple):
         """Pieces of the polyline that lead from seam to seam."""
         return np.array(self.begins, int) - 1
 
-    def between_ends(
+    def seams_of(
         self, distance: Float[np.ndarray, "n"], place: Float[np.ndarray, "n"], near_m: float
-    ) -> Bool[np.ndarray, "n"]:
-        """Return True from the first to the last of the configurations near each seam.
+    ) -> Int[np.ndarray, "n"]:
+        """Return each configuration's seam, from the first to the last one near it; -1 before, between and after.
 
         Args:
             distance: Distances from the path [m].
             place: Places of the path's nearest points, counted in targets.
             near_m: Distance within which configurations count as near [m].
         """
-        found, seam = np.zeros(len(place), bool), np.searchsorted(self.begins, place, "right")
+        found, seam = np.full(len(place), -1), np.searchsorted(self.begins, place, "right")
         for number in range(1 + len(self.begins)):
             near = np.flatnonzero((distance <= near_m) & (seam == number))
             if len(near):
-                found[near[0] : near[-1] + 1] = True
+                found[near[0] : near[-1] + 1] = number
         return found
 
 
@@ -151,7 +151,7 @@ def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDe
     if path is None or not len(points):
         return None
     distance, place = _nearest(path, points)
-    compared = np.flatnonzero(path.between_ends(distance, place, near_m))
+    compared = np.flatnonzero(path.seams_of(distance, place, near_m) >= 0)
     if not len(compared):
         return None
     first, last = int(compared[0]), int(compared[-1])
@@ -185,8 +185,8 @@ def _process(
     on_path = () if kind is None else [name.lower() in PROCESS for name in kind[1:]]
     if any(on_path):
         return np.array(on_path)
-    there = path.between_ends(*_nearest(path, tcp_positions(problem, x)), near_m)
-    return there[:-1] & there[1:]
+    seam = path.seams_of(*_nearest(path, tcp_positions(problem, x)), near_m)
+    return (seam[:-1] >= 0) & (seam[:-1] == seam[1:])
 
 
 def _nearest(path: _Path, points: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from htcp_jax.motion import Plans, Problem, Retract, ViaPoints, motion, motion_check
 from htcp_jax.planning import Progress
 from htcp_jax.sequencing.air_moves import AirMove, AirMoves
-from htcp_jax.sequencing.order import Order, shortest_order
+from htcp_jax.sequencing.order import Costs, Order, shortest_order
 from htcp_jax.sequencing.seam_plans import SeamPlan, in_order
 from htcp_jax.settings import Settings
 
@@ -158,8 +158,8 @@ def _order(nodes: _Nodes, cost: np.ndarray, home: int | None, before, settings: 
     free = np.zeros(len(nodes.seam))
     begin, end = (free, free) if home is None else (cost[home, nodes.begin], cost[nodes.end, home])
     between = cost[nodes.end[:, None], nodes.begin[None]]
-    own = settings.seed, settings.effort
-    return shortest_order(nodes.seam, nodes.own_s, between, begin, end, before, seed=own[0], effort=own[1], hint=hint)
+    costs = Costs(nodes.own_s, between, begin, end)
+    return shortest_order(nodes.seam, costs, before, seed=settings.seed, effort=settings.effort, hint=hint)
 
 
 def _pairs(nodes: _Nodes, order: Sequence[int], home: int | None) -> list[tuple[int, int]]:
