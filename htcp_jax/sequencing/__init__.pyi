@@ -1,0 +1,7 @@
+from .order import Order, cycle, shortest_order
+
+__all__ = [
+    "Order",
+    "cycle",
+    "shortest_order",
+]
