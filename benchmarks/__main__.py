@@ -19,6 +19,7 @@
     python -m benchmarks mountings         placement search: grid, random draws, htcp place, differential evolution
     python -m benchmarks ladder SWEEP      a dense ladder graph compared with the beam, by tracked targets
     python -m benchmarks seams OUT.png     a picture of the seams of the generated duct
+    python -m benchmarks order             order of seams: cost, gap to the proven bound and time, on generated jobs
     python -m benchmarks gallery           the pictures of docs/gallery.md, by the commands on that page
     python -m benchmarks speed             times, compared with committed figures or with another checkout
     python -m benchmarks gpu               the cross sweep on a GPU, compared with the last tag; README's rows
@@ -55,6 +56,7 @@ CASES = (
     "mountings",
     "ladder",
     "seams",
+    "order",
     "gallery",
     "speed",
     "gpu",

@@ -45,7 +45,11 @@ from typing import NamedTuple
 PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
     *("system", "caching", "spec"),
+<<<<<<< HEAD
     *("model", "solvers", "clearance", "device", "motion", "planning", "sequencing", "reachability"),
+=======
+    *("model", "solvers", "clearance", "device", "motion", "planning", "reachability", "sequencing"),
+>>>>>>> order
     *("io", "jobs", "runs", "trajectory", "proving", "placement", "validation", "viewer", "report", "cli"),
 ]
 CORE = PACKAGES[3:11]
@@ -60,6 +64,7 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "clearance.obstacles": "each kind of obstacle has a type and a function that makes it",
     "trajectory": "programs, their figures and the timing of plans and runs",
     "proving": "curves of a motion, and proofs of arrays, of files and of our programs",
+    "sequencing": "an order, its result, and the check of its precedence",
     "viewer": "pictures, movies and replays of plans, of runs and of programs",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",

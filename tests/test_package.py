@@ -46,7 +46,7 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
 
 
 def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():
-    core = "model", "solvers", "clearance", "device", "motion", "planning", "reachability"
+    core = "model", "solvers", "clearance", "device", "motion", "planning", "reachability", "sequencing"
     names = [".".join(("htcp_jax", *file.relative_to(PACKAGE).with_suffix("").parts)) for file in PACKAGE.rglob("*.py")]
     imports = "\n".join(f"import {name}" for name in sorted(names) if name.split(".")[1] in core)
     assert imports.count("\n") > 90

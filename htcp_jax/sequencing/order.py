@@ -1,218 +1,307 @@
-"""The shortest order of seams, each done in one of several ways: a travelling-salesman problem with groups.
+"""Order of the seams of a job: a generalised travelling-salesman problem with precedence.
 
-Nodes are ways to do a seam, groups are seams, and one node of each group is visited. Some groups must come before
-others. OR-Tools' CP-SAT solves it as a circuit with optional nodes. Its search is limited by deterministic time and
-has a fixed seed and number of workers, so that a result repeats.
+A node is one way to do a seam: its configurations at begin and end, and its direction. The nodes of a seam are a group.
+A tour begins at home, visits one node of each group and ends at home. Three parts work together: `tour_search` finds a
+short tour, `tour_bound` a lower bound, which excludes moves that no shorter tour contains, and CP-SAT of OR-Tools, a
+circuit with optional nodes, closes the gap between them over the moves that remain, or shortens the tour.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.sequencing.tour_bound import tour_bound
+from htcp_jax.sequencing.tour_search import group_costs, nodes_of, search, without_far
 
-PER_S = 1e5  # costs are rounded down to multiples of 1 / PER_S
-WORKERS = 8  # searches that CP-SAT interleaves on one thread
-LEAST_TIME, TIME_PER_EFFORT = 1.0, 4.0  # deterministic time of a search, about seconds
-NEIGHBOURS = 12  # arcs from a node that are kept in a problem with more than MOST_ARCS
-MOST_ARCS = 30_000
-HOME = 0  # number of home among the nodes of the circuit; others are counted from 1
+TOTAL = 2**40  # cost of the tour that is known, as an integer: costs of moves are rounded to 1e-12 of it
+ROUNDS = 12  # linear programs of the bound, for each unit of effort
+MOVES = 30_000  # moves in CP-SAT's model at most: beyond these it only shortens the tour, and bounds nothing
+SHARES = 0.5, 0.4  # of the effort, for the search and for CP-SAT
 
 
 class Order(NamedTuple):
-    """An order of nodes."""
+    """Order in which the seams are done, and how.
 
-    nodes: list[int]  # chosen nodes in order; groups without one are skipped
+    Groups of which no node is in `nodes` are skipped.
+    """
+
+    nodes: list[int]  # one node of each visited group, in order of travel
     cost: float  # of the tour [s]
-    bound: float  # lower bound on the cost of every tour that skips no more groups [s]
-
-
-class Costs(NamedTuple):
-    """Costs of n nodes [s]; inf for moves that are not possible."""
-
-    own: Float[np.ndarray, "n"]
-    move: Float[np.ndarray, "n n"]  # from the end of a node to the begin of another one
-    begin: Float[np.ndarray, "n"]  # from home
-    end: Float[np.ndarray, "n"]  # to home
-
-    def of(self, nodes: Sequence[int]) -> float:
-        """Return the cost of a tour."""
-        if not len(nodes):
-            return 0.0
-        rows = np.array(nodes)
-        moves = self.move[rows[:-1], rows[1:]].sum()
-        return float(self.begin[rows[0]] + self.own[rows].sum() + moves + self.end[rows[-1]])
+    bound: float  # no tour that visits as many groups costs less [s]
 
 
 def shortest_order(
     group: Int[np.ndarray, "n"],
-    costs: Costs,
-    before: Sequence[tuple[int, int]],
+    own_cost: Float[np.ndarray, "n"],
+    move_cost: Float[np.ndarray, "n n"],
+    begin_cost: Float[np.ndarray, "n"],
+    end_cost: Float[np.ndarray, "n"],
+    before: Iterable[tuple[int, int]],
     *,
     seed: int,
     effort: float,
-    hint: Sequence[int] | None = None,
+    hint: list[int] | None = None,
 ) -> Order:
-    """Return the shortest order that is found, with a bound.
+    """Return a short tour that visits one node of each group, with a lower bound on the cost of all tours.
 
-    As few groups as possible are skipped.
+    If no tour visits all groups, as few groups as possible are skipped. Precedence holds between the groups that are
+    visited. The result repeats for equal arguments: the work is limited, not the time.
 
     Args:
-        group: Group of each node.
-        costs: Costs of nodes and moves.
-        before: Pairs of groups, the first of which must come before the second.
+        group: Group of each node, (n,); a group is any integer.
+        own_cost: Cost of each node itself, (n,) [s].
+        move_cost: Cost from the end of a node (row) to the begin of another (column), (n, n); inf: not possible [s].
+        begin_cost: Cost from home to the begin of each node, (n,); zeros if the tour is open [s].
+        end_cost: Cost from the end of each node back home, (n,); zeros if the tour is open [s].
+        before: Pairs of groups: the first is visited before the second. Without a cycle, see `cycle`.
         seed: Seed of the search.
-        effort: Factor of the search's deterministic time.
-        hint: Nodes of an order to begin with; None: the nearest neighbours.
+        effort: Work, about the seconds that it takes on one idle core of 3 GHz [s].
+        hint: Nodes of a tour that is known, in order of travel.
+
+    Returns:
+        The tour. The bound is 0 if nothing better was proven.
 
     Raises:
-        InputError: If OR-Tools is not installed.
+        InputError: OR-Tools is not installed, costs are negative or NaN, or `before` has a cycle.
     """
-    groups, group = np.unique(group, return_inverse=True)
-    number = {int(g): k for k, g in enumerate(groups)}
-    earlier = _closure([(number[a], number[b]) for a, b in before if a in number and b in number], len(groups))
-    begun = [tour for tour in (hint, _nearest(group, costs, earlier)) if tour is not None]
-    best = min(begun, key=lambda tour: (-len(tour), costs.of(tour)))
-    model = _Model(group, costs, earlier, best)
-    nodes, bound = model.solve(seed, LEAST_TIME + TIME_PER_EFFORT * effort)
-    if len(nodes) < len(best) or (len(nodes) == len(best) and costs.of(best) < costs.of(nodes)):
-        nodes = list(best)
-    cost = costs.of(nodes)
-    return Order(nodes, cost, min(cost, bound))
+    cp_model = _cp_model()
+    costs = tuple(np.asarray(each, float) for each in (own_cost, move_cost, begin_cost, end_cost))
+    if any(not np.all(each >= 0) for each in costs):
+        raise InputError("costs of an order are negative or NaN: at least 0 s, or inf, is needed")
+    own, move, begin, end = costs
+    names, group = np.unique(np.asarray(group, int), return_inverse=True)
+    index = {int(name): number for number, name in enumerate(names)}
+    pairs = [(index[a], index[b]) for a, b in before if a in index and b in index]
+    if ring := cycle(pairs, len(names)):
+        listed = ", ".join(str(names[each]) for each in ring)
+        raise InputError(f"the groups {listed} are before each other: an order without cycles is needed")
+    after = _closure(pairs, len(names))
+    home = len(group)
+    cost = np.full((home + 1, home + 1), np.inf)
+    cost[:home, :home] = move + own
+    cost[home, :home], cost[:home, home] = begin + own, end
+    cost[:home, :home][group[:, None] == group] = np.inf
+    cost[:home, :home][after.T[group[:, None], group]] = np.inf
+    kept = _possible(cost)
+    if not len(kept):
+        return Order([], 0.0, 0.0)
+    rows = np.append(kept, home)
+    known = {int(node): place for place, node in enumerate(kept)}
+    groups, inner = np.unique(group[kept], return_inverse=True)
+    problem = _Problem(inner, cost[np.ix_(rows, rows)], after[np.ix_(groups, groups)])
+    start = [known[node] for node in hint or [] if node in known]
+    tour, bound = _solve(cp_model, problem, start, seed, effort)
+    return Order([int(kept[node]) for node in tour], problem.cost_of(tour), bound)
 
 
-class _Model:
-    """Circuit of CP-SAT: home, optional nodes, groups and positions."""
+def cycle(before: Iterable[tuple[int, int]], count: int) -> list[int]:
+    """Return the groups of a cycle of precedence, in order; [] if there is none.
 
-    def __init__(self, group: np.ndarray, costs: Costs, earlier: np.ndarray, hint: Sequence[int]):
-        try:
-            from ortools.sat.python import cp_model
-        except ImportError:
-            raise InputError("a job with several seams needs OR-Tools: pip install 'htcp_jax[order]'") from None
-        self._cp, self._model, self._count = cp_model, cp_model.CpModel(), len(group)
-        self._group, self._groups = group, int(group.max(initial=-1)) + 1
-        a, b, cost = _arcs(group, costs, earlier, hint)
-        self._pruned = len(a) < _all_arcs(group, costs, earlier)
-        self._literal = [self._model.new_bool_var("") for _ in a]
-        self._a, self._b = a.tolist(), b.tolist()
-        loops = [self._model.new_bool_var("") for _ in range(self._count + 1)]
-        arcs = [*zip(self._a, self._b, self._literal, strict=True), *((k, k, lit) for k, lit in enumerate(loops))]
-        self._model.add_circuit(arcs)
-        skipped = [self._model.new_bool_var("") for _ in range(self._groups)]
-        for g, skip in enumerate(skipped):
-            visited = [~loops[1 + int(k)] for k in np.flatnonzero(group == g)]
-            self._model.add_exactly_one([*visited, skip])
-        if earlier.any():
-            self._add_positions(earlier, skipped)
-        whole = np.floor(PER_S * cost).astype(np.int64)
-        self._penalty = int(1 + whole.max(initial=0) * (self._groups + 2))
-        self._model.minimize(
-            sum(int(c) * lit for c, lit in zip(whole, self._literal, strict=True)) + self._penalty * sum(skipped)
-        )
-        self._hint(hint, loops, skipped)
-
-    def _add_positions(self, earlier: np.ndarray, skipped: list[Any]) -> None:
-        """Add positions of the groups, and the precedence between them."""
-        position = [self._model.new_int_var(0, self._groups, "") for _ in range(self._groups)]
-        between: dict[tuple[int, int], list[Any]] = {}
-        for a, b, literal in zip(self._a, self._b, self._literal, strict=True):
-            if a != HOME and b != HOME:
-                between.setdefault((int(self._group[a - 1]), int(self._group[b - 1])), []).append(literal)
-        for (g, h), literals in between.items():
-            used = self._model.new_bool_var("")
-            self._model.add(sum(literals) == used)
-            self._model.add(position[h] >= position[g] + 1).only_enforce_if(used)
-        for g, h in np.argwhere(earlier).tolist():
-            self._model.add(position[g] < position[h]).only_enforce_if(~skipped[g], ~skipped[h])
-
-    def _hint(self, nodes: Sequence[int], loops: list[Any], skipped: list[Any]) -> None:
-        """Give the search a tour to begin with."""
-        tour = [HOME, *(int(k) + 1 for k in nodes), HOME]
-        used = set(zip(tour, tour[1:], strict=False)) if len(nodes) else set()
-        for a, b, literal in zip(self._a, self._b, self._literal, strict=True):
-            self._model.add_hint(literal, int((a, b) in used))
-        for k, loop in enumerate(loops):
-            self._model.add_hint(loop, int(k not in tour if len(nodes) else True))
-        done = {int(self._group[k]) for k in nodes}
-        for g, skip in enumerate(skipped):
-            self._model.add_hint(skip, int(g not in done))
-
-    def solve(self, seed: int, time: float) -> tuple[list[int], float]:
-        """Return the nodes of the best tour that is found, and a lower bound on its cost [s]."""
-        solver = self._cp.CpSolver()
-        own = solver.parameters
-        own.random_seed, own.num_workers, own.interleave_search = seed % 2**31, WORKERS, True
-        own.max_deterministic_time = time
-        status = solver.solve(self._model)
-        if status not in (self._cp.OPTIMAL, self._cp.FEASIBLE):
-            return [], 0.0
-        following = {
-            a: b for a, b, lit in zip(self._a, self._b, self._literal, strict=True) if solver.boolean_value(lit)
-        }
-        nodes, at = [], following.get(HOME, HOME)
-        while at != HOME:
-            nodes.append(at - 1)
-            at = following[at]
-        lost = self._groups - len(nodes)
-        bound = (solver.best_objective_bound - self._penalty * lost) / PER_S
-        return nodes, 0.0 if self._pruned else max(0.0, bound)
+    Args:
+        before: Pairs of groups, the first before the second.
+        count: Number of groups.
+    """
+    following: list[list[int]] = [[] for _ in range(count)]
+    for first, second in before:
+        following[first].append(second)
+    done = [False] * count
+    for root in range(count):
+        path, choices = [root], [iter(following[root])]
+        while choices and not done[root]:
+            step = next(choices[-1], None)
+            if step is None:
+                done[path.pop()] = True
+                choices.pop()
+            elif step in path:
+                return path[path.index(step) :]
+            elif not done[step]:
+                path.append(step)
+                choices.append(iter(following[step]))
+    return []
 
 
-def _arcs(
-    group: np.ndarray, costs: Costs, earlier: np.ndarray, hint: Sequence[int]
-) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Return the arcs of the circuit: first node, second node and cost, with half of the nodes' own costs."""
-    move = _possible(group, costs, earlier)
-    if np.isfinite(move).sum() > MOST_ARCS:
-        kept = np.zeros(move.shape, bool)
-        for table in (move, move.T):  # the cheapest arcs from each node, and to each
-            near = np.argsort(table, axis=1, kind="stable")[:, :NEIGHBOURS]
-            rows = np.arange(len(table))[:, None]
-            (kept if table is move else kept.T)[rows, near] = True
-        kept[list(hint)[:-1], list(hint)[1:]] = True
-        move = np.where(kept, move, np.inf)
-    a, b = np.nonzero(np.isfinite(move))
-    first, last = np.flatnonzero(np.isfinite(costs.begin)), np.flatnonzero(np.isfinite(costs.end))
-    cost = [costs.begin[first] + costs.own[first], move[a, b] + costs.own[b], costs.end[last]]
-    return (
-        np.concatenate([np.full(len(first), HOME), a + 1, last + 1]),
-        np.concatenate([first + 1, b + 1, np.full(len(last), HOME)]),
-        np.concatenate(cost),
-    )
+class _Problem(NamedTuple):
+    """Problem of the nodes that a tour can contain; home is node n.
+
+    A cost is that of a move and of the node to which it leads.
+    """
+
+    group: Int[np.ndarray, "n"]
+    cost: Float[np.ndarray, "N N"]
+    before: Bool[np.ndarray, "m m"]
+
+    def cost_of(self, tour: list[int]) -> float:
+        """Return the cost of a tour [s]."""
+        home = len(self.group)
+        return float(self.cost[[home, *tour], [*tour, home]].sum()) if tour else 0.0
 
 
-def _possible(group: np.ndarray, costs: Costs, earlier: np.ndarray) -> Float[np.ndarray, "n n"]:
-    """Return the costs of moves [s]; inf within a group, and to a group that must come before."""
-    excluded = (group[:, None] == group) | earlier.T[group[:, None], group]
-    return np.where(excluded, np.inf, costs.move)
+def _cp_model():
+    try:
+        from ortools.sat.python import cp_model
+    except ImportError:
+        raise InputError("an order of seams needs OR-Tools: pip install 'htcp_jax[order]'") from None
+    return cp_model
 
 
-def _all_arcs(group: np.ndarray, costs: Costs, earlier: np.ndarray) -> int:
-    """Return the number of arcs without pruning."""
-    finite = np.isfinite(costs.begin).sum() + np.isfinite(costs.end).sum()
-    return int(np.isfinite(_possible(group, costs, earlier)).sum() + finite)
+def _closure(pairs: list[tuple[int, int]], count: int) -> Bool[np.ndarray, "m m"]:
+    made = np.zeros((count, count), bool)
+    for a, b in pairs:
+        made[a, b] = True
+    for middle in range(count):
+        made |= made[:, middle, None] & made[middle]
+    return made
 
 
-def _nearest(group: np.ndarray, costs: Costs, earlier: np.ndarray) -> list[int]:
-    """Return a tour that goes to the nearest node that is allowed, as far as one can be reached."""
-    move, nodes, left = _possible(group, costs, earlier), list[int](), np.ones(earlier.shape[0], bool)
-    while True:
-        allowed = left & ~(earlier & left[:, None]).any(axis=0)
-        here = costs.begin if not nodes else move[nodes[-1]]
-        cost = np.where(allowed[group] & np.isfinite(costs.end), here + costs.own, np.inf)
-        if not len(cost) or not np.isfinite(cost.min()):
-            return nodes
-        nodes.append(int(cost.argmin()))
-        left[group[nodes[-1]]] = False
+def _possible(cost: Float[np.ndarray, "N N"]) -> Int[np.ndarray, "k"]:
+    """Nodes that a possible path from home can reach, and from which one can return home."""
+    finite = np.isfinite(cost)
+    found = np.ones(len(cost), bool)
+    for links in (finite, finite.T):
+        reached = np.arange(len(cost)) == len(cost) - 1
+        while (more := reached | links[reached].any(axis=0)).sum() > reached.sum():
+            reached = more
+        found &= reached
+    return np.flatnonzero(found[:-1])
 
 
-def _closure(before: Sequence[tuple[int, int]], count: int) -> np.ndarray:
-    """Return a table (count, count) that is True if the first group must come before the second."""
-    earlier = np.zeros((count, count), bool)
-    for a, b in before:
-        earlier[a, b] = True
+def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: float) -> tuple[list[int], float]:
+    """Best tour, and a lower bound on tours that visit as many groups [s]."""
+    group, cost, before = problem
+    count, home = len(before), len(group)
+    costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
+    hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
+    order, length = search(costs, np.random.default_rng(seed), SHARES[0] * effort, hint)
+    if length >= costs.far:
+        order = without_far(costs, order)
+        tour = nodes_of(costs, order) if len(order) else []
+        return _by_cp_sat(cp_model, problem, np.isfinite(cost), tour, 0.0, True, seed, SHARES[1] * effort)
+    tour = nodes_of(costs, order)
+    length = problem.cost_of(tour)
+    cost = np.where(_excluded(group, before), np.inf, cost)
+    lower = tour_bound(group, cost, before, tour, max(10, int(ROUNDS * effort)))
+    if lower.cost >= length * (1 - 1e-9):
+        return tour, min(lower.cost, length)
+    moves = np.isfinite(cost) & (lower.cost + lower.reduced <= length * (1 + 1e-9))
+    is_whole = moves.sum() <= MOVES
+    if not is_whole:
+        moves &= lower.reduced <= np.partition(lower.reduced[moves], MOVES)[MOVES]
+    moves[[home, *tour], [*tour, home]] = True
+    exact = lower.cost if is_whole else np.inf
+    found, bound = _by_cp_sat(cp_model, problem, moves, tour, lower.cost, False, seed, SHARES[1] * effort)
+    bound = max(lower.cost, bound) if exact < np.inf else lower.cost
+    return found, min(bound, problem.cost_of(found))
+
+
+def _respects(order: Int[np.ndarray, "k"], before: Bool[np.ndarray, "m m"]) -> bool:
+    return not np.any(np.tril(before[np.ix_(order, order)]))
+
+
+def _excluded(group: Int[np.ndarray, "n"], before: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray, "N N"]:
+    """Moves that contradict the precedence if all groups are visited: past a group that has to be between."""
+    count = len(before)
+    made = np.zeros((count + 1, count + 1), bool)
+    made[:count, :count] = before.T | (before.astype(int) @ before.astype(int) > 0)
+    made[count, :count], made[:count, count] = before.any(axis=0), before.any(axis=1)
+    of_node = np.append(group, count)
+    return made[of_node[:, None], of_node]
+
+
+def _by_cp_sat(
+    cp_model,
+    problem: _Problem,
+    moves: Bool[np.ndarray, "N N"],
+    tour: list[int],
+    lower: float,
+    may_skip: bool,
+    seed: int,
+    effort: float,
+) -> tuple[list[int], float]:
+    """Best tour of the moves, and its bound [s], by CP-SAT.
+
+    Costs become integers: rounded down, so that the bound stays true. A tour of k moves is at most k units cheaper.
+    """
+    group, cost, before = problem
+    home, count = len(group), len(before)
+    tails, heads = np.nonzero(moves)
+    top = float(cost[tails, heads].max())
+    scale = TOTAL / max(top * (count + 1), 1e-300)
+    units = np.floor(cost[tails, heads] * scale).astype(np.int64)
+    model = cp_model.CpModel()
+    literals = [model.new_bool_var("") for _ in tails]
+    visited = [model.new_bool_var("") for _ in range(home)]
+    arcs = [(int(a), int(b), literal) for a, b, literal in zip(tails, heads, literals, strict=True)]
+    arcs += [(node, node, ~visited[node]) for node in range(home)]
+    if may_skip:
+        is_idle = model.new_bool_var("")  # nothing is visited: the circuit is home alone
+        arcs.append((home, home, is_idle))
+        model.add_hint(is_idle, not tour)
+    model.add_circuit(arcs)
+    skipped = []
     for k in range(count):
-        earlier |= earlier[:, k, None] & earlier[k]
-    return earlier
+        members = [visited[node] for node in np.flatnonzero(group == k)]
+        if may_skip:
+            skipped.append(model.new_bool_var(""))
+            members.append(skipped[-1])
+            model.add_hint(skipped[-1], not np.isin(group[tour], k).any())
+        model.add_exactly_one(members)
+    if before.any():
+        _add_precedence(model, problem, tails, heads, literals, tour)
+    penalty = TOTAL + 1  # more than any tour
+    total = cp_model.LinearExpr.weighted_sum(literals, units.tolist())
+    if not may_skip:
+        model.add(total >= int(np.floor(lower * scale)) - count - 1)
+    model.minimize(total + penalty * sum(skipped))
+    chosen = {(a, b) for a, b in zip([home, *tour], [*tour, home], strict=True)} if tour else set()
+    for a, b, literal in zip(tails.tolist(), heads.tolist(), literals, strict=True):
+        model.add_hint(literal, (a, b) in chosen)
+    for node in range(home):
+        model.add_hint(visited[node], node in tour)
+    solver = cp_model.CpSolver()
+    solver.parameters.num_workers = 1
+    solver.parameters.random_seed = seed % 2**31
+    solver.parameters.max_deterministic_time = effort
+    status = solver.solve(model)
+    if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        return tour, lower
+    after = {
+        a: b for a, b, literal in zip(tails.tolist(), heads.tolist(), literals, strict=True) if solver.value(literal)
+    }
+    found, node = [], after.get(home, home)
+    while node != home:
+        found.append(node)
+        node = after[node]
+    missing = count - len(found)
+    bound = max(0.0, (solver.best_objective_bound - penalty * missing) / scale)
+    if len(found) < len(tour) or (len(found) == len(tour) and problem.cost_of(found) > problem.cost_of(tour)):
+        found = tour
+    return found, bound
+
+
+def _add_precedence(model, problem: _Problem, tails, heads, literals, tour: list[int]) -> None:
+    """Constrain the places of groups in the tour: one move leads to the next place."""
+    group, _, before = problem
+    count = len(before)
+    ranks = {int(group[node]): place for place, node in enumerate(tour)}
+    places = [model.new_int_var(0, count - 1, "") for _ in range(count)]
+    for k, place in enumerate(places):
+        model.add_hint(place, ranks.get(k, 0))
+    between: dict[tuple[int, int], list] = {}
+    inner = (tails < len(group)) & (heads < len(group))
+    for at in np.flatnonzero(inner):
+        between.setdefault((int(group[tails[at]]), int(group[heads[at]])), []).append(literals[at])
+    for (a, b), each in between.items():
+        for literal in each if len(each) == 1 else [_any_of(model, each)]:
+            model.add(places[b] >= places[a] + 1).only_enforce_if(literal)
+    direct = before & ~(before.astype(int) @ before.astype(int) > 0)
+    for a, b in np.argwhere(direct).tolist():
+        model.add(places[a] + 1 <= places[b])
+
+
+def _any_of(model, literals):
+    made = model.new_bool_var("")
+    model.add(sum(literals) == made)
+    return made

@@ -15,11 +15,12 @@ from jaxtyping import Float, Int
 from htcp_jax.motion import Plans, Problem, Retract, ViaPoints, motion, motion_check
 from htcp_jax.planning import Progress
 from htcp_jax.sequencing.air_moves import AirMove, AirMoves
-from htcp_jax.sequencing.order import Costs, Order, shortest_order
+from htcp_jax.sequencing.order import Order, shortest_order
 from htcp_jax.sequencing.seam_plans import SeamPlan, in_order
 from htcp_jax.settings import Settings
 
 ROUNDS = 30  # maximum number of orders that are found and proven
+ORDER_EFFORT = 5.0  # work for each order, about the seconds on one core [s]
 
 
 class SeamSequence(NamedTuple):
@@ -158,8 +159,9 @@ def _order(nodes: _Nodes, cost: np.ndarray, home: int | None, before, settings: 
     free = np.zeros(len(nodes.seam))
     begin, end = (free, free) if home is None else (cost[home, nodes.begin], cost[nodes.end, home])
     between = cost[nodes.end[:, None], nodes.begin[None]]
-    costs = Costs(nodes.own_s, between, begin, end)
-    return shortest_order(nodes.seam, costs, before, seed=settings.seed, effort=settings.effort, hint=hint)
+    return shortest_order(
+        nodes.seam, nodes.own_s, between, begin, end, before, seed=settings.seed, effort=ORDER_EFFORT, hint=hint
+    )
 
 
 def _pairs(nodes: _Nodes, order: Sequence[int], home: int | None) -> list[tuple[int, int]]:

@@ -8,6 +8,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from graphlib import CycleError, TopologicalSorter
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -57,25 +58,7 @@ def check_seams(seams: Sequence[SeamConfig]) -> None:
         for name in seam.after:
             if name not in before:
                 raise InputError(f"seams: {seam.name!r} is after {name!r}, which is no seam; seams: {', '.join(names)}")
-    if circle := _circle(before):
-        raise InputError(f"seams: the keys after form a circle: {' after '.join(circle)}")
-
-
-def _circle(before: dict[str, tuple[str, ...]]) -> list[str]:
-    """Return the names along a circle of precedence, its first name also last; [] if there is none."""
-    done: set[str] = set()
-    for first in before:
-        path, stack = [], [(first, iter(before[first]))] if first not in done else []
-        path = [first] if stack else []
-        while stack:
-            name, waiting = stack[-1]
-            following = next(waiting, None)
-            if following is None:
-                stack.pop()
-                done.add(path.pop())
-            elif following in path:
-                return [*path[path.index(following) :], following]
-            elif following not in done:
-                path.append(following)
-                stack.append((following, iter(before[following])))
-    return []
+    try:
+        TopologicalSorter(before).prepare()
+    except CycleError as error:
+        raise InputError(f"seams: the keys after form a circle: {' before '.join(error.args[1])}") from None
