@@ -477,7 +477,9 @@ def _plan_seams(
     plans = sequencing.plan_seams(problem, found.variants, method, progress)
     home = None if problem.begins_anywhere[0] else problem.scenarios.x_home[0]
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
-    sequence = sequencing.find_sequence(problem, seams, plans.found, found.before, home, _joint_speeds(robot, job), progress)
+    sequence = sequencing.find_sequence(
+        problem, seams, plans.found, found.before, home, _joint_speeds(robot, job), progress
+    )
     done = [visit.variant for visit in sequence.visits]
     missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))
     lost = {s: plans.best.get(s) or sequencing.not_joined(problem, found.variants, s) for s in missing}

@@ -45,11 +45,7 @@ from typing import NamedTuple
 PACKAGE = "htcp_jax"
 PACKAGES = [  # from the bottom up
     *("system", "caching", "spec"),
-<<<<<<< HEAD
     *("model", "solvers", "clearance", "device", "motion", "planning", "sequencing", "reachability"),
-=======
-    *("model", "solvers", "clearance", "device", "motion", "planning", "reachability", "sequencing"),
->>>>>>> order
     *("io", "jobs", "runs", "trajectory", "proving", "placement", "validation", "viewer", "report", "cli"),
 ]
 CORE = PACKAGES[3:11]

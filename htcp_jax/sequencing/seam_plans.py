@@ -210,10 +210,10 @@ def in_order(done: Sequence[Plans], missing: Sequence[Plans]) -> Plans:
     counts = np.cumsum([0, *(part.status.shape[1] for part in parts)])
     names = [name for name in parts[0].arrays() if name != "start"]
     arrays = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names}
-    moved = [part.via_points._replace(target=part.via_points.target + a) for part, a in zip(parts, counts, strict=False)]
+    moved = [
+        part.via_points._replace(target=part.via_points.target + a) for part, a in zip(parts, counts, strict=False)
+    ]
     via_points = ViaPoints(*(np.concatenate(column) for column in zip(*moved, strict=True)))
     own = {"via_points": via_points, "seam_begins": tuple(counts[1:-1].tolist())}
     times = {name: sum(getattr(part, name) for part in parts) for name in ("compile_s", "run_s")}
     return parts[0]._replace(**arrays, **own, **times)
-
-

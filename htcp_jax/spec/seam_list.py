@@ -1,9 +1,9 @@
 """Seams of a part: each has a path, a direction and its place in the order of work.
 
-    seams:
-      - {name: rib, path: rib.csv}
-      - {name: flange, path: flange.csv, closed: true, after: [rib]}
-      - {name: holes, path: holes.csv, points: true}
+seams:
+  - {name: rib, path: rib.csv}
+  - {name: flange, path: flange.csv, closed: true, after: [rib]}
+  - {name: holes, path: holes.csv, points: true}
 """
 
 from collections import Counter

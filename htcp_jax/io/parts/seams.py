@@ -94,7 +94,9 @@ def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"], one_point_m: float, s
     jumps = np.flatnonzero((steps > JUMP * usual) & (steps > SHORTEST_JUMP_M))
     if not len(jumps):
         return
-    first = [f"from row {seam.first + k + 1} to {seam.first + k + 2} by {1e3 * steps[k]:.4g} mm" for k in jumps[:MOST_SEAMS]]
+    first = [
+        f"from row {seam.first + k + 1} to {seam.first + k + 2} by {1e3 * steps[k]:.4g} mm" for k in jumps[:MOST_SEAMS]
+    ]
     more = f" and {len(jumps) - MOST_SEAMS} more" if len(jumps) > MOST_SEAMS else ""
     text = f"the path jumps {', '.join(first)}{more}; its usual step is {1e3 * usual:.3g} mm"
     warnings.warn(f"{source}: {text}; if these are several seams, {REMEDY}", Note, stacklevel=4)
