@@ -475,11 +475,10 @@ def _plan_seams(
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
     problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
     plans = sequencing.plan_seams(problem, found.variants, method, progress)
-    home = None if problem.begins_anywhere[0] else problem.scenarios.x_home[0]
+    home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
-    sequence = sequencing.find_sequence(
-        problem, seams, plans.found, found.before, home, _joint_speeds(robot, job), progress
-    )
+    speed = _joint_speeds(robot, job)
+    sequence = sequencing.find_sequence(problem, seams, plans.found, found.before, home, speed, progress)
     done = [visit.variant for visit in sequence.visits]
     missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))
     lost = {s: plans.best.get(s) or sequencing.not_joined(problem, found.variants, s) for s in missing}
@@ -487,7 +486,7 @@ def _plan_seams(
     whole = Problem.of(robot, workpiece, scenario, *about)
     made = sequencing.whole_plans(whole, sequence, list(lost.values()))
     reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
-    order = SeamOrder.of([seam for seam in job.workpiece.seams[: len(done)]], made, sequence, reasons)
+    order = SeamOrder.of(job.workpiece.seams[: len(done)], made, sequence, reasons)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, made, all_obstacles, device, order)
 

@@ -58,6 +58,7 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "system": "each concern has functions of its own: files, locks, signals, the end of a process",
     "spec": "each thing that people write has a type, and its keys have choices",
     "clearance.obstacles": "each kind of obstacle has a type and a function that makes it",
+    "jobs": "a job, a sweep, seams and a batch have builders of their own",
     "trajectory": "programs, their figures and the timing of plans and runs",
     "proving": "curves of a motion, and proofs of arrays, of files and of our programs",
     "sequencing": "an order, its result, and the check of its precedence",

@@ -214,9 +214,8 @@ def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:
             f"workpiece.unit is {part.unit!r}, but workpiece.cloud is {part.cloud}, not a file; omit the key"
         )
     if part.is_duct:
-        return (
-            parts.GeneratedDuct(seam=part.path) if not part.seams and path_file(part) is None else parts.GeneratedDuct()
-        )
+        is_own = part.seams or path_file(part) is not None
+        return parts.GeneratedDuct() if is_own else parts.GeneratedDuct(seam=part.path)
     return parts.read_source(part.cloud, part.mesh_spacing_m, part.unit) if part.has_cloud else parts.NoCloud()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ def seam_scenarios(job: PlanConfig, robot: Robot) -> SeamScenarios:
     workpiece = build.workpiece_of(job.workpiece, robot)
     whole = build.scenario_of(job, robot, workpiece, beyond_reach="record")
     bounds = [0, *workpiece.seam_begins, len(workpiece.path)]
-    parts = [_rows(whole, robot, a, b) for a, b in zip(bounds, bounds[1:], strict=False)]
+    parts = [_rows(whole, robot, a, b) for a, b in pairwise(bounds)]
     names = [each.name for each in seams]
     before = [(names.index(name), k) for k, each in enumerate(seams) for name in each.after]
     variants = Variants(np.array(seam), np.array(reverse), np.array(is_allowed))

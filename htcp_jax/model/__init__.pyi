@@ -9,8 +9,7 @@ from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
 from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
 from .row_bounds import FeatureMotion, Region, RowSlack
-from .scenario import Scenario
-from .scenario import NOT_REFUSED
+from .scenario import NOT_REFUSED, Scenario
 from .scenario_setup import (
     beyond_reach,
     interior_plane_of,

@@ -184,7 +184,7 @@ def make_scenarios(
 def beyond_reach(
     robot: Robot, targets: Float[np.ndarray, "*S T 3"], tool_extension_m: float
 ) -> Bool[np.ndarray, "*S T"]:
-    """Return True for targets beyond the maximum reach of an arm with its tool lengthened by `tool_extension_m`."""
+    """Return True for targets [m] beyond the maximum reach of an arm with its tool lengthened by `tool_extension_m`."""
     return _distances(robot, targets) > max_reach(with_tool(robot, float(tool_extension_m)))
 
 

@@ -163,8 +163,9 @@ class Plans(NamedTuple):
         longest = max(part.status.shape[1] for part in parts)
         wide = [part.widened(longest).arrays() for part in parts]
         rows = [len(part.status) for part in parts]
+        columns: dict[str, Any] = {name: np.concatenate([arrays[name] for arrays in wide]) for name in ARRAYS}
         return cls(
-            **{name: np.concatenate([arrays[name] for arrays in wide]) for name in ARRAYS},
+            **columns,
             via_points=consecutive([part.via_points for part in parts], rows),
             compile_s=sum(part.compile_s for part in parts),
             run_s=sum(part.run_s for part in parts),

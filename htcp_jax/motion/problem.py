@@ -204,7 +204,7 @@ class Problem:
             scenario: Row of each segment's scenario.
             target: Target at each segment's end.
         """
-        row = target - self.scenarios.on_path[scenario]  # row of the path
+        row = np.asarray(target - self.scenarios.on_path[scenario])  # row of the path
         return (row <= 0) | np.isin(row, self.workpiece.seam_begins)
 
     def empty_plans(self) -> Plans:

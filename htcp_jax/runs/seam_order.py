@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from htcp_jax.motion import Plans
-from htcp_jax.motion.plans import Outcome
+from htcp_jax.motion import Plans, plans
 from htcp_jax.sequencing import SeamSequence
 from htcp_jax.spec import SeamConfig
 
@@ -30,21 +29,21 @@ class SeamOrder(NamedTuple):
 
     @classmethod
     def of(
-        cls, seams: Sequence[SeamConfig], plans: Plans, sequence: SeamSequence, missing: Mapping[str, Outcome]
+        cls, seams: Sequence[SeamConfig], made: Plans, sequence: SeamSequence, missing: Mapping[str, plans.Outcome]
     ) -> "SeamOrder":
         """Return the order of a plan.
 
         Args:
             seams: The seams that are done, in order.
-            plans: The plan of all seams.
+            made: The plan of all seams.
             sequence: The order.
             missing: The outcome of each seam that is not done, by name.
         """
-        bounds = [0, *plans.seam_begins, plans.status.shape[1]]
+        bounds = [0, *made.seam_begins, made.status.shape[1]]
         times: list[float | None] = [move.time_s for move in sequence.moves]
         times = times if len(times) == len(seams) else [None, *times]
         visits = [
-            SeamVisit(seam.name, seam.direction, a, b - 1, time, float(plans.segment_clearance[0, a:b].min()))
+            SeamVisit(seam.name, seam.direction, a, b - 1, time, float(made.segment_clearance[0, a:b].min()))
             for seam, a, b, time in zip(seams, bounds, bounds[1:], times, strict=False)
         ]
         return cls(tuple(visits), {name: _reason(end) for name, end in missing.items()}, *sequence[3:5])
@@ -66,7 +65,7 @@ class SeamOrder(NamedTuple):
         return {**self._asdict(), "visits": [visit._asdict() for visit in self.visits]}
 
 
-def _reason(end: Outcome) -> str:
+def _reason(end: plans.Outcome) -> str:
     """Return the reason why a seam has no motion."""
     if end.status is None:
         return f"target {end.executable} of {end.targets}: {end.segment_status.message}"

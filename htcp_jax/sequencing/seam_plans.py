@@ -2,7 +2,8 @@
 
 Each seam has variants: its rows in one direction of travel, for a closed seam also from other rows. For each variant,
 configurations far apart from each other are sampled at its first target, and the seam is planned from each of them. It
-is also planned from home, so that a seam that a job of its own would complete is completed here. If the task is the same in both directions, a proven motion is one in the other direction, too.
+is also planned from home, so that a seam that a job of its own would complete is completed here. If the task is the
+same in both directions, a proven motion is one in the other direction, too.
 """
 
 from collections.abc import Callable, Sequence

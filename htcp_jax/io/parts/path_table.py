@@ -13,7 +13,7 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.headings import Heading, listed
 from htcp_jax.io.parts.seams import SeamRows, seam_rows
 from htcp_jax.io.parts.table import TableReader, bare, is_numeric_cell
-from htcp_jax.model.arrays import check_points
+from htcp_jax.model import arrays
 from htcp_jax.system import known_ending, note_missing_line_end, read_tail
 
 COLOURS = {"r", "g", "b"}
@@ -48,7 +48,7 @@ class PathTable:
         self.xyz: Float[np.ndarray, "P 3"] = points.xyz  # [m]
         if not len(self.xyz):
             raise InputError(f"{path}: the tool path is empty")
-        check_points(self.xyz, str(path), at_least=1)
+        arrays.check_points(self.xyz, str(path), at_least=1)
         # Unit normals, or 0, in the last columns of a table without names; None if there are none.
         self.guessed_normals = None if columns is None or columns.named else points.normals
         self._header = header if columns is not None and len(header) == columns.width and columns.named else ()

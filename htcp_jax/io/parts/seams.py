@@ -95,7 +95,8 @@ def name_jumps(source: str, xyz: Float[np.ndarray, "P 3"], one_point_m: float, s
     if not len(jumps):
         return
     first = [
-        f"from row {seam.first + k + 1} to {seam.first + k + 2} by {1e3 * steps[k]:.4g} mm" for k in jumps[:MOST_SEAMS]
+        f"from row {row} to {row + 1} by {1e3 * steps[row - 1 - seam.first]:.4g} mm"
+        for row in (seam.first + 1 + jumps[:MOST_SEAMS]).tolist()
     ]
     more = f" and {len(jumps) - MOST_SEAMS} more" if len(jumps) > MOST_SEAMS else ""
     text = f"the path jumps {', '.join(first)}{more}; its usual step is {1e3 * usual:.3g} mm"

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.parts.duct_seams import seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
-from htcp_jax.io.parts.path_table import PathTable
+from htcp_jax.io.parts.path_table import ENDINGS, PathTable
 from htcp_jax.io.parts.point_cloud import load_geometry
 from htcp_jax.io.parts.seams import check_one_seam
 from htcp_jax.io.parts.units import check_extent, check_path_unit, unit_key
@@ -76,7 +76,7 @@ class GeneratedDuct(NamedTuple):
         if self.seam not in SEAMS:
             raise InputError(
                 f"workpiece.path is {self.seam}; valid: a seam of the duct ({', '.join(SEAMS)}), or a table of x,y,z "
-                f"({' '.join(TEXT)})"
+                f"({' '.join(ENDINGS)})"
             )
         return seam(self.seam)
 
