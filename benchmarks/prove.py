@@ -6,6 +6,7 @@
 - `planted`: collisions of 0.01 to 5 mm between two of 1,000 samples, and misses by as much.
 - `slot`: a plate of 1 mm, and a slot of 3 mm for a tool of 2 mm; all queries are counted.
 - `throughput`: 1,000 motions of 100 segments in the duct (DIR/duct, else the generated one) and between 20 solids.
+- `logged`: production paths of two cells, against the arm itself, and with a corrupted waypoint (DIR/deke_logged).
 - `sampled`: segments that sampled checks call valid at the tools' documented resolutions, and proofs refute.
 
 The reference distances are computed without htcp_jax. PYTHON is one of an environment with Drake.
@@ -17,11 +18,13 @@ from pathlib import Path
 
 from benchmarks import hardware
 from benchmarks.prove_cases import planted, shelf, slot
+from benchmarks.prove_logged import logged
 from benchmarks.prove_sampled import sampled
 from benchmarks.prove_throughput import throughput
 from htcp_jax.caching import cache_folder
 
-CASES = "shelf", "planted", "slot", "throughput", "sampled"
+CASES = "shelf", "planted", "slot", "throughput", "logged", "sampled"
+DATA = {"shelf": "drake_ccd", "logged": "deke_logged"}  # folders that cases cannot do without
 
 
 def main() -> int:
@@ -44,11 +47,12 @@ def main() -> int:
             "planted": lambda: planted(requested.planted, folder),
             "slot": lambda: slot(folder),
             "throughput": lambda: throughput(data, folder, requested.motions),
+            "logged": lambda: logged(data, folder),
             "sampled": lambda: sampled(data, folder, requested.drake),
         }
         for case in requested.only or CASES:
-            if case == "shelf" and not (data / "drake_ccd").exists():
-                print(f"\nshelf: {data}/drake_ccd does not exist")
+            if case in DATA and not (data / DATA[case]).exists():
+                print(f"\n{case}: {data / DATA[case]} does not exist")
                 continue
             for table in run[case]():
                 print(f"\n{table}", flush=True)
