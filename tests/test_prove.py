@@ -14,7 +14,8 @@ import htcp_jax
 from htcp_jax.clearance import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.proving import JointCurves, corners, prove_curves, scene_of, straight
-from htcp_jax.status import SegmentStatus
+from htcp_jax.proving.prove import prove_within
+from htcp_jax.status import SegmentStatus, UndecidedCause
 
 VALID, IN_COLLISION, UNDECIDED = SegmentStatus.VALID, SegmentStatus.IN_COLLISION, SegmentStatus.UNDECIDED
 ARM = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-2 2"/>
@@ -75,7 +76,7 @@ def test_motions_have_the_same_results_alone_and_in_a_batch(job, problem):
     assert together.proven.tolist() == [False, True, False, True]
     for k, each in enumerate(x):
         alone = htcp_jax.prove(job, each)
-        for name in ("verdict", "clearance_m", "place", "queries"):
+        for name in ("verdict", "clearance_m", "place", "queries", "cause"):
             assert np.array_equal(getattr(alone, name), getattr(together, name)[k], equal_nan=True)
 
 
@@ -83,10 +84,16 @@ def test_a_segment_is_undecided_if_the_servo_may_reach_an_obstacle_and_below_the
     x = past_the_ball(-1e-3)  # misses by 1 mm
     lag = [0.0, 2e-3, 0.0]
     assert htcp_jax.prove(job, x, tracking_rad=[0.0, 5e-4, 0.0]).proven
-    assert htcp_jax.prove(job, x, tracking_rad=lag).verdict.tolist() == [UNDECIDED]
+    tracked = htcp_jax.prove(job, x, tracking_rad=lag)
+    assert tracked.verdict.tolist() == [UNDECIDED] and tracked.cause.tolist() == [UndecidedCause.TRACKING]
     assert htcp_jax.prove(job, past_the_ball(1e-4), tracking_rad=lag).refuted
     assert htcp_jax.prove(job, x, margin_m=2e-3).verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
     assert 5e-4 <= htcp_jax.prove(job, x, margin_m=5e-4).guaranteed_m <= 1e-3
+
+
+def test_a_motion_that_grazes_an_obstacle_by_a_millionth_of_a_mm_is_undecided_at_the_finest_subdivision(problem):
+    found = prove_curves(problem, straight(past_the_ball(-1e-9)), kept=0.0)
+    assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.SUBDIVISION]
 
 
 def tcp_of(x: np.ndarray) -> np.ndarray:
@@ -127,6 +134,9 @@ def test_a_path_inside_a_corner_that_may_collide_makes_the_segment_undecided(pro
     assert prove_curves(problem, straight(x)).proven
     rounded = prove_curves(problem, corners(x, np.array([0, 0.05, 0]), tcp_of))
     assert rounded.verdict.tolist() == [UNDECIDED, VALID] and not rounded.refuted
+    assert rounded.cause.tolist() == [UndecidedCause.CORNER, UndecidedCause.NONE]
+    within = prove_within(problem, corners(x, np.array([0, 0.05, 0]), tcp_of), np.full(3, 1e-4))
+    assert within.cause.tolist() == rounded.cause.tolist()
     assert prove_curves(problem, corners(x, np.array([0, 0.005, 0]), tcp_of)).proven
 
 

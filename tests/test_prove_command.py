@@ -106,7 +106,8 @@ def test_a_motion_that_only_its_tracking_error_may_lead_into_the_shelf_is_undeci
     assert proven(file)[0] == 0
     code, record, printed = proven(file, "--tracking", "20deg")
     assert code == 4 and record["verdict"] == "undecided" and printed.startswith("undecided: lines ")
-    assert {row["verdict"] for row in record["unproven"]} == {"UNDECIDED"}
+    assert {(row["verdict"], row["cause"]) for row in record["unproven"]} == {("UNDECIDED", "TRACKING")}
+    assert "clear on the motion itself, not proven within the tracking" in " ".join(printed.split())
     assert record["tracking"] == pytest.approx([np.radians(20)] * 4)
 
 
