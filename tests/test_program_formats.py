@@ -15,10 +15,11 @@ from hypothesis.extra import numpy as of_numpy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions import EncoderScale
 from htcp_jax.spec import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, UserFrame
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -166,7 +167,7 @@ def test_pulses_read_back_to_half_a_pulse(timed, data):
     N = len(timed.joint_names)
     table = np.array(data.draw(st.lists(st.sampled_from([85000.5, -73000.0, 1e6]), min_size=N, max_size=N)))
     zero = np.linspace(-1, 1, N)
-    pulses = Pulses(table, zero, "a drawing")
+    pulses = EncoderScale(table, zero, "a drawing")
     job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, tool=4)))
     assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
     assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
@@ -178,7 +179,7 @@ GROUPS = JointGroups(robot=(7, 3, 4, 5, 6, 2), base=(8,), station=(1, 0))
 
 def test_a_job_holds_each_joint_in_its_group_and_each_group_at_its_own_speed():
     timed = a_motion(9)
-    pulses = Pulses(np.linspace(1e5, 2e5, 9), np.zeros(9), "a drawing")
+    pulses = EncoderScale(np.linspace(1e5, 2e5, 9), np.zeros(9), "a drawing")
     job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, groups=GROUPS, speed=np.full(9, 2.0))))
     assert (job.fields["GROUP1"], job.fields["GROUP2"]) == ("RB1,BS1", "ST1")
     for kind, columns in zip(("C", "BC", "EC"), map(list, GROUPS), strict=True):
@@ -324,8 +325,8 @@ def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
 # --- all of them
 
 
-def table_of(joints: int) -> Pulses:
-    return Pulses(np.full(joints, 1e4), np.zeros(joints), "a drawing")
+def table_of(joints: int) -> EncoderScale:
+    return EncoderScale(np.full(joints, 1e4), np.zeros(joints), "a drawing")
 
 
 def whole(timed: TimedMotion) -> ControllerData:
