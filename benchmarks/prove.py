@@ -1,6 +1,7 @@
 """Proofs of motions from anywhere: scenes with a known truth, sampled checks next to them, and speed.
 
     python -m benchmarks prove [--data DIR] [--only CASE] [--planted N] [--motions N] [--drake PYTHON]
+                               [--ompl PYTHON]
 
 - `shelf`: Drake's path into a bookcase, in the tiers of 50, 10, 2 and 0 mm, and 1,000 copies (DIR/drake_ccd).
 - `planted`: collisions of 0.01 to 5 mm between two of 1,000 samples, and misses by as much.
@@ -9,7 +10,7 @@
 - `logged`: production paths of two cells, against the arm itself, and with a corrupted waypoint (DIR/deke_logged).
 - `sampled`: segments that sampled checks call valid at the tools' documented resolutions, and proofs refute.
 
-The reference distances are computed without htcp_jax. PYTHON is one of an environment with Drake.
+The reference distances are computed without htcp_jax. PYTHON is one of an environment with Drake, or with OMPL.
 """
 
 import argparse
@@ -36,6 +37,7 @@ def main() -> int:
     parser.add_argument("--planted", type=int, default=200, metavar="N", help="motions that collide, and that miss")
     parser.add_argument("--motions", type=int, default=1000, metavar="N")
     parser.add_argument("--drake", metavar="PYTHON")
+    parser.add_argument("--ompl", metavar="PYTHON")
     requested = parser.parse_args()
     cache_folder.enable()
     print(hardware.line())
@@ -48,7 +50,7 @@ def main() -> int:
             "slot": lambda: slot(folder),
             "throughput": lambda: throughput(data, folder, requested.motions),
             "logged": lambda: logged(data, folder),
-            "sampled": lambda: sampled(data, folder, requested.drake),
+            "sampled": lambda: sampled(data, folder, requested.drake, requested.ompl),
         }
         for case in requested.only or CASES:
             if case in DATA and not (data / DATA[case]).exists():

@@ -63,20 +63,20 @@ class ChainArm(NamedTuple):
 
     def to_itself(self, x: np.ndarray) -> Float[np.ndarray, "n"]:
         """Return the smallest distance between spheres of links that are not adjacent [m]."""
-        first, second = self._pairs()
+        first, second = self.pairs()
         at = self.ends(x)[0]
         away = at[:, first] - at[:, second]
         return (np.sqrt((away * away).sum(axis=-1)) - self.radius[first] - self.radius[second]).min(axis=1)
 
     def capsules_apart(self, x: np.ndarray) -> Float[np.ndarray, "n"]:
         """Return the smallest distance between capsules of links that are not adjacent [m]."""
-        first, second = self._pairs()
+        first, second = self.pairs()
         p, q = self.ends(x)
         a, b, c, d = p[:, first], q[:, first], p[:, second], q[:, second]
         away = _segments_apart(a, b, c, d)
         return (away - self.radius[first] - self.radius[second]).min(axis=1)
 
-    def _pairs(self) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
+    def pairs(self) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
         """Return both bodies of each pair whose links are neither the same nor adjacent."""
         first, second = np.triu_indices(len(self.link), 1)
         parents = np.array([link.parent for link in self.links])
