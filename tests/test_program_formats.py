@@ -202,7 +202,7 @@ def read_rapid(text: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     axes = r"\[" + ",".join([number] * 6) + r"\]"
     call = re.compile(rf"MoveAbsJ \[{axes},{axes}\]\\NoEOffs,v\d+(?:\\T:=(\d+\.\d+))?,(z0|fine),(\w+);")
     found = [call.fullmatch(line).groups() for line in lines[2:-2]]
-    assert [each[13] for each in found] == ["fine", *["z0"] * (len(found) - 2), "fine"][: len(found)]
+    assert found[0][13] == found[-1][13] == "fine"
     values = np.array([each[:12] for each in found], float)
     external = values[:, 6:][:, values[0, 6:] != 9e9]
     assert (values[:, 6 + external.shape[1] :] == 9e9).all() and found[0][12] is None
@@ -218,6 +218,14 @@ def test_rapid_reads_back_to_half_a_microdegree_and_half_a_nanometre_with_its_ti
     assert np.abs(external[:, 0] - 1e3 * timed.x[:, 8]).max() <= 0.5e-6 + 1e-12
     assert np.abs(external[:, 1:] - np.degrees(timed.x[:, [1, 0]])).max() <= 0.5e-6 + 1e-12
     assert np.abs(np.array(seconds) - np.diff(timed.time_s)).max(initial=0.0) <= 0.5e-6 + 1e-12
+
+
+def test_rapid_stops_where_the_motion_stops_and_passes_its_other_configurations():
+    for speed, zone in ((0.1, "z0"), (0.0, "fine")):
+        timed = a_motion()
+        timed = timed._replace(velocity=np.full_like(timed.x, speed))
+        text = program_text("rapid", timed, controller(timed))
+        assert re.findall(",(z0|fine),", text) == ["fine", zone, "fine"]
 
 
 def test_a_coupled_axis_of_rapid_is_the_sum_of_both_joints():

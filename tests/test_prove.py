@@ -102,10 +102,11 @@ def tcp_of(x: np.ndarray) -> np.ndarray:
 
 def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
     rng = np.random.default_rng(0)
-    x = np.array([[0.0, 0.0, 0.1], [0.3, 0.1, -0.4], [0.2, 0.6, 0.7], [0.9, 0.5, 0.0]])
-    radius = np.array([1.0, 0.05, 0.2, 1.0])
+    x = np.array([[0.0, 0.0, 0.1], [0.3, 0.1, -0.4], [0.2, 0.6, 0.7], [0.9, 0.5, 0.0], [1.1, 0.47, -0.25]])
+    radius = np.array([1.0, 0.05, 0.2, 0.1, 1.0])
     found = corners(x, radius, tcp_of)
-    for k in (1, 2):
+    assert np.bincount(found.segment[~found.is_certain]).tolist() == [8, 8, 2]  # the last corner is flat
+    for k in (1, 2, 3):
         bands = JointCurves(*(part[(found.segment == k - 1) & ~found.is_certain] for part in found))
         ends = [leg[(np.linalg.norm(leg[:, :2] - x[k, :2], axis=1) <= radius[k])][-1] for leg in legs(x, k)]
         u, v = rng.random((2, 2000))
@@ -119,7 +120,15 @@ def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
             near |= (np.abs(inside[:, None] - path[None]) <= off + 1e-3 * np.abs(along) + 1e-12).all(axis=2).any(axis=1)
         assert near.all()
     certain = JointCurves(*(part[found.is_certain] for part in found))
-    assert certain.segment.tolist() == [0, 1, 2] and (certain.span[:, 1] < 1).tolist() == [True, True, False]
+    assert certain.segment.tolist() == [0, 1, 2, 3]
+    assert (certain.span[:, 1] < 1).tolist() == [True, True, True, False]
+
+
+def test_a_corner_that_goes_straight_on_loses_no_clearance(problem):
+    x = np.array([[BETWEEN - 0.1, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN + 0.3, 0.49, 0.0]])
+    rounded = corners(x, np.array([0, 0.02, 0]), tcp_of)
+    clear_m = 0.01 - ROD_M - BALL_M  # bands of the corner would cost 1.2 mm
+    assert 0.97 * clear_m <= prove_curves(problem, rounded, kept=0.999).guaranteed_m <= clear_m
 
 
 def legs(x: np.ndarray, k: int) -> list[np.ndarray]:
