@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from htcp_jax.cli.motion_options import Format, Interpolation, Unit
 from htcp_jax.cli.output import (
     Device,
     Json,
@@ -29,20 +30,6 @@ STYLES = {"proven": "bold green", "refuted": "bold red", "undecided": "bold yell
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Trajectory or robot program.")]
 Job = Annotated[Path, typer.Option(metavar="JOB.yaml", help="Job file or example: the robot, its tool and the cell.")]
-Format = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Format of the file; by default by its ending and content.")
-]
-Unit = Annotated[
-    str | None, typer.Option(metavar="deg|rad", help="Unit of angles; by default as the file or its format states.")
-]
-Interpolation = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Motion between two configurations: linear, cubic (the file has velocities) or quintic (also "
-        "accelerations); by default as the format's controller moves.",
-    ),
-]
 Margin = Annotated[
     str | None, typer.Option(metavar="LENGTH", help="Required clearance, such as 1mm; by default any above 0.")
 ]

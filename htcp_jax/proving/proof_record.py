@@ -118,19 +118,49 @@ def headline(found: FileProof) -> str:
     if found.verdict == "proven":
         if math.isinf(found.guaranteed_m):
             return "proven: nothing is there to collide with"
-        k = int(found.proof.clearance_m.argmin())
+        k = decisive_segment(found)
+        assert k is not None
         pair = "" if (near := found.contacts.get(k)) is None else f": {near.body} next to {near.other}"
         return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
     group = unproven_groups(found)[0]
-    cause = f"; {group.cause.message}" if group.cause else ""
     if group.deepest is None:
-        return f"{found.verdict}: {lines_of(found, group.first, group.last)}{cause}"
-    contact = found.contacts[group.deepest]
-    where = f"{found.verdict}: {_where(found, group.deepest, contact.place)}"
+        return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
+    where = _where(found, group.deepest, found.contacts[group.deepest].place)
+    return f"{found.verdict}: {where}: {_contact_text(found, group.deepest)}"
+
+
+def decisive_segment(found: FileProof) -> int | None:
+    """Return the segment with the deepest contact or, if all are proven, with the guaranteed clearance.
+
+    It is None if there is nothing to collide with, or if nothing is proven.
+    """
+    if found.proof is None or math.isinf(found.guaranteed_m):
+        return None
+    if found.verdict == "proven":
+        return int(found.proof.clearance_m.argmin())
+    group = unproven_groups(found)[0]
+    return group.first if group.deepest is None else group.deepest
+
+
+def segment_text(found: FileProof, segment: int) -> str:
+    """Return the verdict on a segment and its reason as text, such as "proven, at least 2 mm clear"."""
+    assert found.proof is not None
+    verdict, clearance_m = SegmentStatus(int(found.proof.verdict[segment])), float(found.proof.clearance_m[segment])
+    if verdict == SegmentStatus.VALID:
+        return "proven" if math.isinf(clearance_m) else f"proven, at least {_mm(clearance_m)} clear"
+    return f"{verdict.words}: {_contact_text(found, segment)}" if segment in found.contacts else verdict.words
+
+
+def _contact_text(found: FileProof, segment: int) -> str:
+    """Return the deepest contact on an unproven segment, and the cause if it is undecided."""
+    assert found.proof is not None
+    contact, cause = found.contacts[segment], UndecidedCause(int(found.proof.cause[segment])).message
+    cause = f"; {cause}" if cause else ""
     if contact.clearance_m <= 0:
-        return f"{where}: {contact.body} is {contact.depth} inside {contact.other}{cause}"
-    less = f", less than the margin of {_mm(found.margin_m)}" if found.verdict == "refuted" else ""
-    return f"{where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}{less}{cause}"
+        return f"{contact.body} is {contact.depth} inside {contact.other}{cause}"
+    is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN
+    less = f", less than the margin of {_mm(found.margin_m)}" if is_near else ""
+    return f"{contact.body} is {_mm(contact.clearance_m)} from {contact.other}{less}{cause}"
 
 
 def _where(found: FileProof, segment: int, share: float | None = None) -> str:
@@ -155,7 +185,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
     """Return the proof as values for JSON."""
     motion, proof = found.motion, found.proof
     rows = segment_rows(found)
-    least = None if proof is None or found.verdict != "proven" else int(proof.clearance_m.argmin())
+    least = decisive_segment(found) if found.verdict == "proven" else None
     return {
         "file": str(found.file),
         "verdict": found.verdict,
