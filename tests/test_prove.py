@@ -124,6 +124,12 @@ def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
     assert (certain.span[:, 1] < 1).tolist() == [True, True, True, False]
 
 
+def test_repeated_configurations_at_a_rounded_corner_add_no_paths(problem):
+    x = np.array([[BETWEEN - 0.1, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN, 0.2, 0.0]])
+    found = corners(x, np.full(4, 0.02), tcp_of)
+    assert not found.off.any() and prove_curves(problem, found).proven
+
+
 def test_a_corner_that_goes_straight_on_loses_no_clearance(problem):
     x = np.array([[BETWEEN - 0.1, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN + 0.3, 0.49, 0.0]])
     rounded = corners(x, np.array([0, 0.02, 0]), tcp_of)

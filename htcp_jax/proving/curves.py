@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 BANDS = 8  # number of bands of a corner's triangle
+TINY = 1e-300  # divisor in place of 0
 PLACES = 64  # places on half a leg at which the distance of the TCP from the corner is measured
 
 
@@ -113,8 +114,8 @@ def _inside(segment: int, a: np.ndarray, corner: np.ndarray, b: np.ndarray, shar
     u = (np.arange(BANDS) + 0.5)[:, None] / BANDS
     start, end = corner + u * (a - corner), corner + u * (b - corner)
     off = np.maximum(np.abs(a - corner), np.abs(b - corner)) / (2 * BANDS)
-    ratio = np.linalg.norm(b - corner) / np.linalg.norm(a - corner)
-    around = np.abs(b - corner + ratio * (a - corner)) / (1 + ratio)
+    before, after = np.linalg.norm(a - corner), np.linalg.norm(b - corner)
+    around = np.abs(before * (b - corner) + after * (a - corner)) / max(before + after, TINY)
     if around.sum() <= off.sum():
         start, end, off = np.stack([a, corner]), np.stack([corner, b]), around
     return JointCurves(
