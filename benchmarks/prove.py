@@ -1,14 +1,16 @@
 """Proofs of motions from anywhere: scenes with a known truth, sampled checks next to them, and speed.
 
     python -m benchmarks prove [--data DIR] [--only CASE] [--planted N] [--motions N] [--drake PYTHON]
+                               [--ompl PYTHON]
 
 - `shelf`: Drake's path into a bookcase, in the tiers of 50, 10, 2 and 0 mm, and 1,000 copies (DIR/drake_ccd).
 - `planted`: collisions of 0.01 to 5 mm between two of 1,000 samples, and misses by as much.
 - `slot`: a plate of 1 mm, and a slot of 3 mm for a tool of 2 mm; all queries are counted.
 - `throughput`: 1,000 motions of 100 segments in the duct (DIR/duct, else the generated one) and between 20 solids.
+- `logged`: production paths of two cells, against the arm itself, and with a corrupted waypoint (DIR/deke_logged).
 - `sampled`: segments that sampled checks call valid at the tools' documented resolutions, and proofs refute.
 
-The reference distances are computed without htcp_jax. PYTHON is one of an environment with Drake.
+The reference distances are computed without htcp_jax. PYTHON is one of an environment with Drake, or with OMPL.
 """
 
 import argparse
@@ -17,11 +19,13 @@ from pathlib import Path
 
 from benchmarks import hardware
 from benchmarks.prove_cases import planted, shelf, slot
+from benchmarks.prove_logged import logged
 from benchmarks.prove_sampled import sampled
 from benchmarks.prove_throughput import throughput
 from htcp_jax.caching import cache_folder
 
-CASES = "shelf", "planted", "slot", "throughput", "sampled"
+CASES = "shelf", "planted", "slot", "throughput", "logged", "sampled"
+DATA = {"shelf": "drake_ccd", "logged": "deke_logged"}  # folders that cases cannot do without
 
 
 def main() -> int:
@@ -33,6 +37,7 @@ def main() -> int:
     parser.add_argument("--planted", type=int, default=200, metavar="N", help="motions that collide, and that miss")
     parser.add_argument("--motions", type=int, default=1000, metavar="N")
     parser.add_argument("--drake", metavar="PYTHON")
+    parser.add_argument("--ompl", metavar="PYTHON")
     requested = parser.parse_args()
     cache_folder.enable()
     print(hardware.line())
@@ -44,11 +49,12 @@ def main() -> int:
             "planted": lambda: planted(requested.planted, folder),
             "slot": lambda: slot(folder),
             "throughput": lambda: throughput(data, folder, requested.motions),
-            "sampled": lambda: sampled(data, folder, requested.drake),
+            "logged": lambda: logged(data, folder),
+            "sampled": lambda: sampled(data, folder, requested.drake, requested.ompl),
         }
         for case in requested.only or CASES:
-            if case == "shelf" and not (data / "drake_ccd").exists():
-                print(f"\nshelf: {data}/drake_ccd does not exist")
+            if case in DATA and not (data / DATA[case]).exists():
+                print(f"\n{case}: {data / DATA[case]} does not exist")
                 continue
             for table in run[case]():
                 print(f"\n{table}", flush=True)

@@ -91,7 +91,7 @@ def _copies(problem: Problem, curves: JointCurves) -> list[tuple[str, ...]]:
 
 
 def _rest(proof: MotionProof) -> tuple[np.ndarray, ...]:
-    return proof.clearance_m, proof.place, proof.queries
+    return proof.clearance_m, proof.place, proof.queries, proof.cause
 
 
 # Planted collisions

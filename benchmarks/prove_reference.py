@@ -48,9 +48,7 @@ class ChainArm(NamedTuple):
     def to_ball(self, x: Float[np.ndarray, "n N"], centre: np.ndarray, radius: float) -> Float[np.ndarray, "n"]:
         """Return the smallest distance of the moving bodies from a ball [m]."""
         p, q = self.ends(x)
-        d = q - p
-        t = np.clip(((centre - p) * d).sum(-1) / np.maximum((d * d).sum(-1), 1e-30), 0, 1)
-        away = np.linalg.norm(p + t[..., None] * d - centre, axis=-1) - self.radius - radius
+        away = _from_segment(centre, p, q) - self.radius - radius
         return away[:, self.link > 0].min(axis=1)
 
     def to_boxes(self, x: np.ndarray, centre: np.ndarray, half: np.ndarray) -> Float[np.ndarray, "n"]:
@@ -65,14 +63,26 @@ class ChainArm(NamedTuple):
 
     def to_itself(self, x: np.ndarray) -> Float[np.ndarray, "n"]:
         """Return the smallest distance between spheres of links that are not adjacent [m]."""
+        first, second = self.pairs()
+        at = self.ends(x)[0]
+        away = at[:, first] - at[:, second]
+        return (np.sqrt((away * away).sum(axis=-1)) - self.radius[first] - self.radius[second]).min(axis=1)
+
+    def capsules_apart(self, x: np.ndarray) -> Float[np.ndarray, "n"]:
+        """Return the smallest distance between capsules of links that are not adjacent [m]."""
+        first, second = self.pairs()
+        p, q = self.ends(x)
+        a, b, c, d = p[:, first], q[:, first], p[:, second], q[:, second]
+        away = _segments_apart(a, b, c, d)
+        return (away - self.radius[first] - self.radius[second]).min(axis=1)
+
+    def pairs(self) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
+        """Return both bodies of each pair whose links are neither the same nor adjacent."""
         first, second = np.triu_indices(len(self.link), 1)
         parents = np.array([link.parent for link in self.links])
         a, b = self.link[first], self.link[second]
         kept = (a != b) & (parents[a] != b) & (parents[b] != a)
-        first, second = first[kept], second[kept]
-        at = self.ends(x)[0]
-        away = at[:, first] - at[:, second]
-        return (np.sqrt((away * away).sum(axis=-1)) - self.radius[first] - self.radius[second]).min(axis=1)
+        return first[kept], second[kept]
 
 
 def chain_arm(model: mujoco.MjModel) -> ChainArm:
@@ -133,6 +143,25 @@ def smallest(
             best = min(best, (float(values[m]), float(fine[m])))
             low, high = fine[max(m - 1, 0)], fine[min(m + 1, 64)]
     return best
+
+
+def _segments_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return the distances between line segments from a to b and from c to d, of any shapes (..., 3) [m]."""
+    least = np.minimum.reduce([_from_segment(a, c, d), _from_segment(b, c, d), _from_segment(c, a, b)])
+    least = np.minimum(least, _from_segment(d, a, b))
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = ((e * f).sum(-1) for e, f in ((u, u), (v, v), (u, v), (u, w), (v, w)))
+    square = np.maximum(uu * vv - uv * uv, 1e-30)
+    s, t = (uv * vw - vv * uw) / square, (uu * vw - uv * uw) / square  # of the common normal
+    inside = (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+    across = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
+    return np.where(inside, np.minimum(least, across), least)
+
+
+def _from_segment(point: np.ndarray, p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    d = q - p
+    t = np.clip(((point - p) * d).sum(-1) / np.maximum((d * d).sum(-1), 1e-30), 0, 1)
+    return np.linalg.norm(p + t[..., None] * d - point, axis=-1)
 
 
 def _turns(axis: Float[np.ndarray, "3"], angle: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 4 4"]:

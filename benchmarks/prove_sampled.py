@@ -3,8 +3,10 @@
 Resolutions are the documented defaults of the tools. OMPL tests motions at 1 % of the space's extent
 (`longest_valid_segment_fraction` 0.01); MoveIt's Setup Assistant writes 0.005 into `ompl_planning.yaml` (moveit pull
 request 337), of an extent that is the sum of the joints' ranges. Tesseract's `CollisionCheckConfig` has the type
-DISCRETE, which tests a program's own states alone, and a `longest_valid_segment_length` of 0.005 for its LVS types. The
-geometry is the same for all, so that the differences are those of the resolutions. Drake has no default step.
+DISCRETE, which tests a program's own states alone, and a `longest_valid_segment_length` of 0.005 for its LVS types. Its
+profile of Descartes tests no edges either (`enable_edge_collision`); planners with `path_check=none` do the same. The
+geometry is the same for all, so that the differences are those of the resolutions. Drake has no default step. OMPL's
+own motions are planned by RRTConnect and simplified, see `prove_ompl`.
 """
 
 import json
@@ -20,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 import htcp_jax
 from benchmarks import prove_scenes as scenes
-from benchmarks.prove_reference import ChainArm
+from benchmarks.prove_reference import ChainArm, smallest
 from benchmarks.prove_table import Table
 from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
@@ -50,11 +52,11 @@ def samples_of(robot: Robot, step: Float[np.ndarray, "m N"]) -> dict[str, Int[np
     return {name: np.maximum(np.ceil(count), 1).astype(int) for name, count in parts.items()}
 
 
-def sampled(data: Path, folder: Path, drake: str | None) -> list[Table]:
+def sampled(data: Path, folder: Path, drake: str | None, ompl: str | None) -> list[Table]:
     """Compare sampled checks with proofs; without data, only on our own planners' motions."""
     tables = [_planned()]
     if (data / "drake_ccd").exists():
-        tables += _shelf_tables(data / "drake_ccd", folder, drake)
+        tables += _shelf_tables(data / "drake_ccd", folder, drake, ompl)
     return tables
 
 
@@ -105,26 +107,26 @@ def _valid(problem: Problem, a: np.ndarray, b: np.ndarray, parts: Int[np.ndarray
 
 
 def _planned() -> Table:
-    """Compare on motions of our own planners whose segments are tested at 20 samples."""
+    """Compare on motions of our own planners whose segments are tested at 20 samples, or at their ends alone."""
     rows = []
-    for method in METHODS:
+    for method, path_check in product(METHODS, ("all", "none")):
         parts = []
         for y, z in POSES:
             changes = {"workpiece.rotation_y_rad": y, "workpiece.rotation_z_rad": z, "method": method}
-            changes |= {"settings.path_test": "samples", "settings.path_check": "all"}
+            changes |= {"settings.path_test": "samples", "settings.path_check": path_check}
             job = ROOT / "configs/paper.yaml"
             plans = htcp_jax.plan(job, changes).plans
             x = plans.x[0][plans.tracked[0]]
             if len(x) > 1:
                 parts.append((scene_of(job, changes).problem, x[:-1], x[1:]))
-        rows += _rows(f"`{method}`", parts)
-    return Table("Generated duct, nine poses, configs/paper.yaml with path_test=samples, path_check=all", HEAD, rows)
+        rows += _rows(f"`{method}`, path_check={path_check}", parts)
+    return Table("Generated duct, nine poses, configs/paper.yaml with path_test=samples", HEAD, rows)
 
 
 # Drake's arm
 
 
-def _shelf_tables(data: Path, folder: Path, drake: str | None) -> list[Table]:
+def _shelf_tables(data: Path, folder: Path, drake: str | None, ompl: str | None) -> list[Table]:
     file = scenes.without_meshes(data, folder)
     model, arm = scenes.imported(file, folder), scenes.reference_of(file)
     boxes = scenes.shelf(data, "10")
@@ -132,7 +134,8 @@ def _shelf_tables(data: Path, folder: Path, drake: str | None) -> list[Table]:
     problem = scene_of({"robot": {"model": str(model)}, "cell": cell}).problem
     edges = _edges(problem)
     rows = _rows("random edges of up to 1 rad, shelf", [(problem, *edges)])
-    return [Table("iiwa 14 with 46 spheres", HEAD, rows), *_others(data, folder, file, arm, boxes, edges, drake)]
+    tables = [Table("iiwa 14 with 46 spheres", HEAD, rows), *_others(data, folder, file, arm, boxes, edges, drake)]
+    return tables if ompl is None else [*tables, _ompl(ompl, data, folder, arm, boxes, problem)]
 
 
 def _edges(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -222,10 +225,69 @@ def _drake(
     }
     asked = {"a": edges[0].tolist(), "b": edges[1].tolist(), "boxes": _listed(shelf)}
     request = {"arm": str(file), "paths": paths, "edges": asked, "steps_rad": DRAKE_STEPS}
+    return _run(python, "prove_drake.py", folder, request)
+
+
+def _run(python: str, script: str, folder: Path, request: dict) -> dict:
+    """Return the results of a script in another environment."""
     (folder / "request.json").write_text(json.dumps(request), encoding="utf-8")
-    command = [python, str(Path(__file__).with_name("prove_drake.py")), str(folder / "request.json")]
+    command = [python, str(Path(__file__).with_name(script)), str(folder / "request.json")]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def _listed(boxes: scenes.Boxes) -> list[list]:
     return [boxes.centre.tolist(), boxes.half.tolist()]
+
+
+# OMPL
+
+
+def _ompl(python: str, data: Path, folder: Path, arm: ChainArm, boxes: scenes.Boxes, problem: Problem) -> Table:
+    """Plan by OMPL between random configurations, and from them into the shelf; prove the motions."""
+    lower, upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
+    rng, (_, path) = np.random.default_rng(SEED), scenes.waypoints(data)
+    draws = rng.uniform(lower, upper, (32 * MOTIONS, len(lower)))
+    inside = path[rng.integers(len(path), size=32 * MOTIONS)]
+    inside = np.clip(inside + rng.uniform(-JITTER_RAD, JITTER_RAD, inside.shape), lower, upper)
+    draws, inside = (x[clearances_at(problem, x) > 0] for x in (draws, inside))
+    ends = {
+        "random to random": draws[: 2 * MOTIONS].reshape(MOTIONS, 2, -1),
+        "random into the shelf": np.stack([draws[2 * MOTIONS : 3 * MOTIONS], inside[:MOTIONS]], axis=1),
+    }
+    request = {
+        "links": [{**link._asdict(), "T": link.T.tolist(), "axis": link.axis.tolist()} for link in arm.links],
+        "sphere_link": arm.link.tolist(),
+        "sphere_centre": arm.p.tolist(),
+        "sphere_radius": arm.radius.tolist(),
+        "pairs": [each.tolist() for each in arm.pairs()],
+        "box_centre": boxes.centre.tolist(),
+        "box_half": boxes.half.tolist(),
+        "ranges": [lower.tolist(), upper.tolist()],
+        "ends": np.concatenate(list(ends.values())).tolist(),
+    }
+    found, rows = _run(python, "prove_ompl.py", folder, request), []
+    for tool, motions in found["motions"].items():
+        for k, name in enumerate(ends):
+            planned = [np.array(x) for x in motions[k * MOTIONS : (k + 1) * MOTIONS] if x is not None]
+            refuted, undecided, depths = 0, 0, []
+            for x in planned:
+                proof = prove_curves(problem, straight(x), kept=0.0)
+                refuted, undecided = refuted + bool(proof.refuted), undecided + (not proof.proven and not proof.refuted)
+                bad = np.flatnonzero(proof.verdict == SegmentStatus.IN_COLLISION).tolist()
+                depths += [_depth(arm, boxes, x[segment], x[segment + 1]) for segment in bad]
+            segments, share = sum(len(x) - 1 for x in planned), f"{100 * refuted / max(len(planned), 1):.1f}"
+            depth = f"{1e3 * min(depths):.4f} to {1e3 * max(depths):.3f}" if depths else ""
+            counts = f"{len(planned)} of {MOTIONS}", str(segments), str(refuted), share, str(undecided), depth
+            rows.append((tool, name, *counts))
+    head = "resolution", "motions", "planned and valid", "segments", "refuted", "share %", "undecided", "deep by mm"
+    return Table(f"Motions of OMPL {found['version']}, RRTConnect and simplification, 10 mm tier", head, rows)
+
+
+MOTIONS = 500
+JITTER_RAD = 0.1
+
+
+def _depth(arm: ChainArm, boxes: scenes.Boxes, a: np.ndarray, b: np.ndarray) -> float:
+    """Return the depth of a straight motion's deepest contact by the reference [m]."""
+    measures = lambda x: arm.to_boxes(x, *boxes[1:]), arm.to_itself
+    return -min(smallest(lambda s: a + s[:, None] * (b - a), measure, 20_000)[0] for measure in measures)

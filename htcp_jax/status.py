@@ -173,6 +173,33 @@ _SEGMENT_MESSAGES = {
 }
 
 
+class UndecidedCause(enum.IntEnum):
+    """Cause for which a segment of a motion in a file is undecided."""
+
+    NONE = 0  # it is not undecided
+    TRACKING = 1
+    CORNER = 2
+    SUBDIVISION = 3
+
+    @property
+    def words(self) -> str:
+        """Name of the cause in tables, such as "rounded corner"."""
+        return {0: "", 1: "tracking", 2: "rounded corner", 3: "finest subdivision"}[self]
+
+    @property
+    def message(self) -> str:
+        """Short description of the cause."""
+        return _CAUSE_MESSAGES[self]
+
+
+_CAUSE_MESSAGES = {
+    UndecidedCause.NONE: "",
+    UndecidedCause.TRACKING: "clear on the motion itself, not proven within the tracking",
+    UndecidedCause.CORNER: "not proven for all paths inside the rounded corner",
+    UndecidedCause.SUBDIVISION: "neither proven nor refuted at the finest subdivision",
+}
+
+
 class Kind(enum.IntEnum):
     """Kind of the motion that leads to a configuration; stored as int8."""
 

@@ -7,12 +7,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.motions import MotionFile, read_motion
+from htcp_jax.io.motions import EncoderScale, MotionFile, read_motion
 from htcp_jax.io.robots.loading import gp50, load_robot
 from htcp_jax.model import Robot
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, Pulses
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -85,7 +85,7 @@ def random_motion(robot: Robot, seed: int, most: int = 9) -> TimedMotion:
 def controller(robot: Robot, name: str = "weld", **given) -> ControllerData:
     """Controller data with pulses, and with groups if the arm has other than six joints."""
     N = robot.dof
-    pulses = Pulses(np.where(np.arange(N) % 2, -73000.0, 85000.5), np.linspace(-1, 1, N), "a drawing")
+    pulses = EncoderScale(np.where(np.arange(N) % 2, -73000.0, 85000.5), np.linspace(-1, 1, N), "a drawing")
     groups = GROUPS if robot.joint_names == JOINTS else None
     slides = (*robot.sliding, *(robot.slides[j] for j in robot.followers))
     own = ControllerData(name, slides, speed=np.full(N, 1e6), pulses=pulses, groups=groups)

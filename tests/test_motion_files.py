@@ -232,7 +232,10 @@ def test_a_jobs_section_program_names_the_joints_of_pulses_groups_and_sums(tmp_p
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("program.pulses={per_rad: [1], source: here}", "program.pulses.per_rad has 1 values, but gp50 has 6 joints"),
+        (
+            "program.pulses={per_rad: [1], source: here}",
+            "per_rad has 1 values, but the robot gp50 has 6 joints",
+        ),
         ("program.pulses={per_rad: [1, 1, 0, 1, 1, 1], source: here}", "must not be 0"),
         ("program.coupled={joint3: elbow}", "program.coupled: 'elbow' is not a joint; valid: joint1"),
         ("program.groups={robot: [joint2]}", "program.groups has 'joint1' 0 times"),

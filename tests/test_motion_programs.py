@@ -356,3 +356,10 @@ def test_a_job_with_poses_and_pulses_is_refused(tmp_path):
 )
 def test_another_unit_than_the_languages_is_refused(name, text, unit, message, tmp_path):
     assert message in refusal(tmp_path, name, text, unit=unit)
+
+
+def test_a_script_in_degrees_gets_a_note_with_its_line_and_one_in_radians_none(tmp_path):
+    text = "def program():\n  movej([0,-1.57,0,0,0,0])\n  movej([{},-1.57,0,0,0,0])\nend\nprogram()\n"
+    degrees, radians = (read_text(tmp_path, "p.script", text.format(value)) for value in (45, 0.7853981634))
+    assert any("is 45 rad on line 3, more than a turn" in note for note in degrees.notes)
+    assert not any("turn" in note for note in radians.notes)

@@ -15,10 +15,11 @@ from hypothesis.extra import numpy as of_numpy
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions import EncoderScale
 from htcp_jax.spec import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, UserFrame
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -166,7 +167,7 @@ def test_pulses_read_back_to_half_a_pulse(timed, data):
     N = len(timed.joint_names)
     table = np.array(data.draw(st.lists(st.sampled_from([85000.5, -73000.0, 1e6]), min_size=N, max_size=N)))
     zero = np.linspace(-1, 1, N)
-    pulses = Pulses(table, zero, "a drawing")
+    pulses = EncoderScale(table, zero, "a drawing")
     job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, tool=4)))
     assert (job.fields["TOOL"], job.fields["POSTYPE"], job.fields["NAME"]) == ("4", "PULSE", "WELD")
     assert (np.abs(job.array() / table + zero - timed.x) <= 0.5 / np.abs(table) + 1e-15).all()
@@ -178,7 +179,7 @@ GROUPS = JointGroups(robot=(7, 3, 4, 5, 6, 2), base=(8,), station=(1, 0))
 
 def test_a_job_holds_each_joint_in_its_group_and_each_group_at_its_own_speed():
     timed = a_motion(9)
-    pulses = Pulses(np.linspace(1e5, 2e5, 9), np.zeros(9), "a drawing")
+    pulses = EncoderScale(np.linspace(1e5, 2e5, 9), np.zeros(9), "a drawing")
     job = Job(program_text("jbi-pulses", timed, controller(timed, pulses=pulses, groups=GROUPS, speed=np.full(9, 2.0))))
     assert (job.fields["GROUP1"], job.fields["GROUP2"]) == ("RB1,BS1", "ST1")
     for kind, columns in zip(("C", "BC", "EC"), map(list, GROUPS), strict=True):
@@ -201,7 +202,7 @@ def read_rapid(text: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     axes = r"\[" + ",".join([number] * 6) + r"\]"
     call = re.compile(rf"MoveAbsJ \[{axes},{axes}\]\\NoEOffs,v\d+(?:\\T:=(\d+\.\d+))?,(z0|fine),(\w+);")
     found = [call.fullmatch(line).groups() for line in lines[2:-2]]
-    assert [each[13] for each in found] == ["fine", *["z0"] * (len(found) - 2), "fine"][: len(found)]
+    assert found[0][13] == found[-1][13] == "fine"
     values = np.array([each[:12] for each in found], float)
     external = values[:, 6:][:, values[0, 6:] != 9e9]
     assert (values[:, 6 + external.shape[1] :] == 9e9).all() and found[0][12] is None
@@ -217,6 +218,14 @@ def test_rapid_reads_back_to_half_a_microdegree_and_half_a_nanometre_with_its_ti
     assert np.abs(external[:, 0] - 1e3 * timed.x[:, 8]).max() <= 0.5e-6 + 1e-12
     assert np.abs(external[:, 1:] - np.degrees(timed.x[:, [1, 0]])).max() <= 0.5e-6 + 1e-12
     assert np.abs(np.array(seconds) - np.diff(timed.time_s)).max(initial=0.0) <= 0.5e-6 + 1e-12
+
+
+def test_rapid_stops_where_the_motion_stops_and_passes_its_other_configurations():
+    for speed, zone in ((0.1, "z0"), (0.0, "fine")):
+        timed = a_motion()
+        timed = timed._replace(velocity=np.full_like(timed.x, speed))
+        text = program_text("rapid", timed, controller(timed))
+        assert re.findall(",(z0|fine),", text) == ["fine", zone, "fine"]
 
 
 def test_a_coupled_axis_of_rapid_is_the_sum_of_both_joints():
@@ -324,8 +333,8 @@ def test_mujoco_reads_the_keyframes_exactly_with_the_built_in_arm():
 # --- all of them
 
 
-def table_of(joints: int) -> Pulses:
-    return Pulses(np.full(joints, 1e4), np.zeros(joints), "a drawing")
+def table_of(joints: int) -> EncoderScale:
+    return EncoderScale(np.full(joints, 1e4), np.zeros(joints), "a drawing")
 
 
 def whole(timed: TimedMotion) -> ControllerData:

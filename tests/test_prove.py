@@ -14,7 +14,8 @@ import htcp_jax
 from htcp_jax.clearance import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.proving import JointCurves, corners, prove_curves, scene_of, straight
-from htcp_jax.status import SegmentStatus
+from htcp_jax.proving.prove import prove_within
+from htcp_jax.status import SegmentStatus, UndecidedCause
 
 VALID, IN_COLLISION, UNDECIDED = SegmentStatus.VALID, SegmentStatus.IN_COLLISION, SegmentStatus.UNDECIDED
 ARM = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-2 2"/>
@@ -75,7 +76,7 @@ def test_motions_have_the_same_results_alone_and_in_a_batch(job, problem):
     assert together.proven.tolist() == [False, True, False, True]
     for k, each in enumerate(x):
         alone = htcp_jax.prove(job, each)
-        for name in ("verdict", "clearance_m", "place", "queries"):
+        for name in ("verdict", "clearance_m", "place", "queries", "cause"):
             assert np.array_equal(getattr(alone, name), getattr(together, name)[k], equal_nan=True)
 
 
@@ -83,10 +84,16 @@ def test_a_segment_is_undecided_if_the_servo_may_reach_an_obstacle_and_below_the
     x = past_the_ball(-1e-3)  # misses by 1 mm
     lag = [0.0, 2e-3, 0.0]
     assert htcp_jax.prove(job, x, tracking_rad=[0.0, 5e-4, 0.0]).proven
-    assert htcp_jax.prove(job, x, tracking_rad=lag).verdict.tolist() == [UNDECIDED]
+    tracked = htcp_jax.prove(job, x, tracking_rad=lag)
+    assert tracked.verdict.tolist() == [UNDECIDED] and tracked.cause.tolist() == [UndecidedCause.TRACKING]
     assert htcp_jax.prove(job, past_the_ball(1e-4), tracking_rad=lag).refuted
     assert htcp_jax.prove(job, x, margin_m=2e-3).verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
     assert 5e-4 <= htcp_jax.prove(job, x, margin_m=5e-4).guaranteed_m <= 1e-3
+
+
+def test_a_motion_that_grazes_an_obstacle_by_a_millionth_of_a_mm_is_undecided_at_the_finest_subdivision(problem):
+    found = prove_curves(problem, straight(past_the_ball(-1e-9)), kept=0.0)
+    assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.SUBDIVISION]
 
 
 def tcp_of(x: np.ndarray) -> np.ndarray:
@@ -95,10 +102,11 @@ def tcp_of(x: np.ndarray) -> np.ndarray:
 
 def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
     rng = np.random.default_rng(0)
-    x = np.array([[0.0, 0.0, 0.1], [0.3, 0.1, -0.4], [0.2, 0.6, 0.7], [0.9, 0.5, 0.0]])
-    radius = np.array([1.0, 0.05, 0.2, 1.0])
+    x = np.array([[0.0, 0.0, 0.1], [0.3, 0.1, -0.4], [0.2, 0.6, 0.7], [0.9, 0.5, 0.0], [1.1, 0.47, -0.25]])
+    radius = np.array([1.0, 0.05, 0.2, 0.1, 1.0])
     found = corners(x, radius, tcp_of)
-    for k in (1, 2):
+    assert np.bincount(found.segment[~found.is_certain]).tolist() == [8, 8, 2]  # the last corner is flat
+    for k in (1, 2, 3):
         bands = JointCurves(*(part[(found.segment == k - 1) & ~found.is_certain] for part in found))
         ends = [leg[(np.linalg.norm(leg[:, :2] - x[k, :2], axis=1) <= radius[k])][-1] for leg in legs(x, k)]
         u, v = rng.random((2, 2000))
@@ -112,7 +120,21 @@ def test_every_path_inside_a_corner_is_within_the_paths_that_are_proven():
             near |= (np.abs(inside[:, None] - path[None]) <= off + 1e-3 * np.abs(along) + 1e-12).all(axis=2).any(axis=1)
         assert near.all()
     certain = JointCurves(*(part[found.is_certain] for part in found))
-    assert certain.segment.tolist() == [0, 1, 2] and (certain.span[:, 1] < 1).tolist() == [True, True, False]
+    assert certain.segment.tolist() == [0, 1, 2, 3]
+    assert (certain.span[:, 1] < 1).tolist() == [True, True, True, False]
+
+
+def test_repeated_configurations_at_a_rounded_corner_add_no_paths(problem):
+    x = np.array([[BETWEEN - 0.1, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN, 0.2, 0.0]])
+    found = corners(x, np.full(4, 0.02), tcp_of)
+    assert not found.off.any() and prove_curves(problem, found).proven
+
+
+def test_a_corner_that_goes_straight_on_loses_no_clearance(problem):
+    x = np.array([[BETWEEN - 0.1, 0.49, 0.0], [BETWEEN, 0.49, 0.0], [BETWEEN + 0.3, 0.49, 0.0]])
+    rounded = corners(x, np.array([0, 0.02, 0]), tcp_of)
+    clear_m = 0.01 - ROD_M - BALL_M  # bands of the corner would cost 1.2 mm
+    assert 0.97 * clear_m <= prove_curves(problem, rounded, kept=0.999).guaranteed_m <= clear_m
 
 
 def legs(x: np.ndarray, k: int) -> list[np.ndarray]:
@@ -127,6 +149,9 @@ def test_a_path_inside_a_corner_that_may_collide_makes_the_segment_undecided(pro
     assert prove_curves(problem, straight(x)).proven
     rounded = prove_curves(problem, corners(x, np.array([0, 0.05, 0]), tcp_of))
     assert rounded.verdict.tolist() == [UNDECIDED, VALID] and not rounded.refuted
+    assert rounded.cause.tolist() == [UndecidedCause.CORNER, UndecidedCause.NONE]
+    within = prove_within(problem, corners(x, np.array([0, 0.05, 0]), tcp_of), np.full(3, 1e-4))
+    assert within.cause.tolist() == rounded.cause.tolist()
     assert prove_curves(problem, corners(x, np.array([0, 0.005, 0]), tcp_of)).proven
 
 

@@ -18,6 +18,7 @@ from htcp_jax.cli import main
 from htcp_jax.runs import columns
 from htcp_jax.status import SegmentStatus
 from htcp_jax.viewer import replays_of_file
+from htcp_jax.viewer.browser.texts import target_facts
 
 JOINTS = "j1", "j2", "j3", "j4"
 START = np.array(toy.START)
@@ -106,7 +107,8 @@ def test_a_motion_that_only_its_tracking_error_may_lead_into_the_shelf_is_undeci
     assert proven(file)[0] == 0
     code, record, printed = proven(file, "--tracking", "20deg")
     assert code == 4 and record["verdict"] == "undecided" and printed.startswith("undecided: lines ")
-    assert {row["verdict"] for row in record["unproven"]} == {"UNDECIDED"}
+    assert {(row["verdict"], row["cause"]) for row in record["unproven"]} == {("UNDECIDED", "TRACKING")}
+    assert "clear on the motion itself, not proven within the tracking" in " ".join(printed.split())
     assert record["tracking"] == pytest.approx([np.radians(20)] * 4)
 
 
@@ -182,16 +184,56 @@ def test_the_function_returns_what_the_command_writes(job, proven, tracked, tmp_
     ]
 
 
-def test_a_file_is_replayed_with_its_verdicts_and_its_clearance(job, tracked, tmp_path):
+def test_a_file_is_replayed_with_its_verdicts_its_clearance_and_its_deepest_contacts(job, tracked, tmp_path):
     x = into_the_shelf(tracked)
     found = prove_file(table(tmp_path / "hit.csv", x), job)
     replay = replays_of_file(found).replay(0, "file")
-    np.testing.assert_array_equal(replay.x, x)
-    assert replay.segment_status[1:].tolist() == found.proof.verdict.tolist()
-    clearance, tcp = toy.measured(toy.scenario(), x)
+    at_lines = np.array([place.startswith("line ") for place in replay.file.places])
+    np.testing.assert_array_equal(replay.x[at_lines], x)
+    assert replay.segment_status[at_lines][1:].tolist() == found.proof.verdict.tolist()
+    np.testing.assert_array_equal(replay.x[~at_lines], [each.x for each in found.contacts.values()])
+    clearance, tcp = toy.measured(toy.scenario(), replay.x)
     np.testing.assert_allclose(replay.clearance, clearance, atol=1e-9)
     np.testing.assert_allclose(replay.target, tcp, atol=1e-9)
     assert replay.path == 1
+
+
+def test_a_played_file_says_the_verdict_on_its_segments_and_begins_at_its_deepest_contact(job, tracked, tmp_path):
+    found = prove_file(table(tmp_path / "hit.csv", into_the_shelf(tracked)), job)
+    replay = replays_of_file(found).replay(0, "file")
+    shown, contact = replay.file, min(found.contacts.values(), key=lambda each: each.clearance_m)
+    assert shown.headline.startswith("refuted: lines ")
+    np.testing.assert_array_equal(replay.x[shown.first], contact.x)
+    assert shown.places[0] == "line 2" and shown.segments[0] == "The motion begins here."
+    assert "Lines 2 to 3: proven, at least " in shown.segments[1]
+    assert "inside the workpiece" in shown.segments[shown.first]
+    assert [style.name for style in replay.styles if style.where.any()] == ["proven", "refuted"]
+    facts = target_facts(replay, shown.first)
+    assert "in collision, **" in facts and "tracked" not in facts and "nan" not in target_facts(replay, 0)
+
+
+def test_the_viewer_of_a_file_shows_no_planner_and_begins_at_the_deepest_contact(job, tracked, tmp_path):
+    viser_viewer = pytest.importorskip("htcp_jax.viewer.browser.page", reason="the extra `view` is not installed")
+    replays = replays_of_file(prove_file(table(tmp_path / "hit.csv", into_the_shelf(tracked)), job))
+    viewer = viser_viewer.Viewer(replays, port=0)
+    try:
+        assert viewer.target == replays.file.first and "in collision, **" in viewer.facts
+        assert not viewer._method.visible and not viewer._scenario.visible
+        assert " deep at lines " in viewer.stage.label
+    finally:
+        viewer.stop()
+
+
+def test_options_of_files_need_a_job(tmp_path, capsys):
+    assert main(["view", str(tmp_path), "--unit", "deg"]) == 2
+    assert "--unit is an option of files; pass --job, too" in capsys.readouterr().err
+
+
+def test_a_proven_file_is_played_from_its_begin_and_marks_its_nearest_place(job, tmp_path):
+    x = START + np.outer([0.0, 0.4, 0.8, 0.3], TURN)
+    replay = replays_of_file(prove_file(table(tmp_path / "clear.csv", x), job)).replay(0, "file")
+    assert replay.file.first == 0 and " mm clear" in replay.file.mark and replay.narrow is not None
+    assert np.isfinite(replay.narrow.seen_m) and replay.narrow.seen_m <= replay.clearance.min() + 1e-9
 
 
 def test_poses_are_compared_with_the_path_and_not_proven(proven, tmp_path):
@@ -252,7 +294,7 @@ def test_a_job_without_a_part_names_the_fixture_and_is_played(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "inside the fixture 'box'" in printed.splitlines()[0] and "path" not in printed
     replay = replays_of_file(prove_file(file, job)).replay(0, "file")
-    assert len(replay.x) == 3 and replay.clearance[2] < 0 < replay.clearance[0]
+    assert len(replay.x) == 4 and replay.clearance[2] <= replay.clearance[3] < 0 < replay.clearance[0]  # 2: deepest
 
 
 def test_the_command_keeps_its_compiled_programs():

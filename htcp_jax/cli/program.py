@@ -188,7 +188,7 @@ def program(
     manipulability = made.manipulability if found.drops else np.zeros(0)
     written = _Written(found, manipulability, torque, checked, _near_part(made.job), paths, proof)
     if proof.is_undecided:
-        warnings.warn(f"{refusal(proof)}: undecided", stacklevel=1)
+        warnings.warn(refusal(proof), stacklevel=1)
     if as_json:
         tolerance = {"path_tolerance_mm": 1e3 * made.job.settings.tube_m, "deviations": deviation_records(deviation)}
         _print_record(written, {"configurations": len(file.timed.x), **tolerance})

@@ -123,9 +123,11 @@ def refusal(proof: ProgramProof) -> str:
     contact, motion = proof.contact, proof.motion
     where = f"lines {motion.line[contact.segment]} to {motion.line[contact.segment + 1]}"
     moves = f"the motion of the file, {motion.interpolation} between its configurations"
-    if contact.clearance_m <= 0:
-        return f"{moves}, collides at {where}: {contact.body} is {contact.depth} inside {contact.other}"
-    return f"{moves}, is not proven at {where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
+    apart = f"{contact.depth} inside" if contact.clearance_m <= 0 else f"{_mm(contact.clearance_m)} from"
+    found = f"{contact.body} is {apart} {contact.other}"
+    if proof.is_refuted:
+        return f"{moves}, collides at {where}: {found}"
+    return f"{moves}, is undecided at {where}: {found}; {proof.cause.message}"
 
 
 def proof_facts(proof: ProgramProof) -> dict[str, str]:
@@ -134,7 +136,7 @@ def proof_facts(proof: ProgramProof) -> dict[str, str]:
         return {"file's motion": "not proven: the file has poses; the motion between them is the controller's own"}
     count, took = len(proof.proof.verdict), f"read back and proven in {proof.seconds:.1f} s"
     if proof.is_undecided:
-        return {"file's motion": f"undecided; {took}"}
+        return {"file's motion": f"undecided, {proof.cause.message}; {took}"}
     clear = f"guaranteed clearance {_mm(float(proof.proof.guaranteed_m))}"
     between = f"{proof.motion.interpolation} between the configurations"
     return {"file's motion": f"proven, {clear} on {count:,} segments, {between}; {took}"}

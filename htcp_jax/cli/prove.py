@@ -1,7 +1,6 @@
 """`htcp prove`: prove that the motion in a trajectory or program of any tool is clear, segment by segment."""
 
 import math
-import re
 import time
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
+from htcp_jax.cli.motion_options import Format, Interpolation, Unit
 from htcp_jax.cli.output import (
     Device,
     Json,
@@ -20,32 +20,16 @@ from htcp_jax.cli.output import (
     progress_bar,
     stdout,
 )
-from htcp_jax.errors import InputError
+from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity
 from htcp_jax.proving import FileProof, proof_record, prove_file
 from htcp_jax.report import Table, draw_proof
 from htcp_jax.system import output_files
 
 LISTED = 10  # maximum number of groups of segments on the terminal
-LENGTHS, ANGLES = {"mm": 1e-3, "m": 1.0, "um": 1e-6}, {"deg": math.pi / 180, "rad": 1.0}
 STYLES = {"proven": "bold green", "refuted": "bold red", "undecided": "bold yellow", "not proven": "bold yellow"}
-_QUANTITY = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*([a-z]+)\s*", re.IGNORECASE)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Trajectory or robot program.")]
 Job = Annotated[Path, typer.Option(metavar="JOB.yaml", help="Job file or example: the robot, its tool and the cell.")]
-Format = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Format of the file; by default by its ending and content.")
-]
-Unit = Annotated[
-    str | None, typer.Option(metavar="deg|rad", help="Unit of angles; by default as the file or its format states.")
-]
-Interpolation = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Motion between two configurations: linear, cubic (the file has velocities) or quintic (also "
-        "accelerations); by default as the format's controller moves.",
-    ),
-]
 Margin = Annotated[
     str | None, typer.Option(metavar="LENGTH", help="Required clearance, such as 1mm; by default any above 0.")
 ]
@@ -92,7 +76,7 @@ def prove(
       htcp prove trajectory.yaml --job cell.yaml --tracking 0.1deg --out out/proof
     """
     began = time.perf_counter()
-    margin_m = quantity("--margin", margin, LENGTHS, "1mm")
+    margin_m = 0.0 if margin is None else quantity("--margin", margin, LENGTHS, "1mm")
     angle, length = _tracking(tracking)
     claim_device(device)
     with output_files.written_whole(out) as folder:
@@ -123,33 +107,6 @@ def prove(
     else:
         _print_proof(found, out, time.perf_counter() - began)
     return proof_record.exit_code(found)
-
-
-def quantity(option: str, text: str | None, units: dict[str, float], example: str) -> float:
-    """Return the value of an option with a unit, in the SI unit; 0 if it is not set.
-
-    Args:
-        option: Name of the option, for messages.
-        text: Its value, such as "1mm"; None: not set.
-        units: Valid units, each in the SI unit.
-        example: A valid value, for messages.
-
-    Raises:
-        InputError: If the text is not a number of 0 or more with one of the units.
-    """
-    if text is None:
-        return 0.0
-    found = _QUANTITY.fullmatch(text)
-    try:
-        value = float(found[1]) * units[found[2].lower()] if found else math.nan
-    except (KeyError, ValueError):
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise InputError(
-            f"{option} {text}: it must be a number of 0 or more with a unit, such as {example}; "
-            f"units: {', '.join(units)}"
-        )
-    return value
 
 
 def _tracking(text: str | None) -> tuple[float, float | None]:
@@ -247,17 +204,18 @@ def _deviation_facts(found: FileProof) -> dict[str, str]:
 
 
 def unproven_table(found: FileProof) -> Table:
-    """Return the table of refuted and undecided segments; consecutive ones with the same verdict are one row."""
+    """Return the table of refuted and undecided segments; consecutive ones with the same result are one row."""
     line, rows = found.motion.line, []
     groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
         contact = None if group.deepest is None else found.contacts[group.deepest]
         row = {f"{found.counted}s": f"{line[group.first]} to {line[group.last + 1]}", "verdict": group.verdict.words}
+        row |= {"cause": group.cause.words or None}
         if contact is not None and group.deepest is not None:
             time_s = found.time_at(group.deepest, contact.place)
             row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "place_s": time_s}
             row |= {"place_percent": 100 * contact.place if time_s is None else None}
             row |= {"depth_mm": -1e3 * contact.clearance_m, "bodies": f"{contact.body}, {contact.other}"}
         rows.append(row)
-    keys = f"{found.counted}s", "verdict", "deepest", "place_percent", "place_s", "depth_mm", "bodies"
+    keys = f"{found.counted}s", "verdict", "cause", "deepest", "place_percent", "place_s", "depth_mm", "bodies"
     return Table.of("unproven", keys, rows).without_empty()

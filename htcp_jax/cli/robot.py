@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ import typer
 
 from htcp_jax.clearance.obstacles import make_self_collision
 from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
+from htcp_jax.cli.quantities import LENGTHS, quantity
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
 from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, follower_text, shapes_label
@@ -217,16 +217,9 @@ def _length_m(text: str | None) -> float | None:
     """
     if text is None:
         return None
-    found = re.fullmatch(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(mm|m|)\s*", text)
     low, high = close_fit.TOLERANCES_M
-    try:
-        length_m = float(found[1]) * (1e-3 if found[2] == "mm" else 1.0) if found else math.nan
-    except ValueError:
-        length_m = math.nan
-    if not low <= length_m <= high:
-        valid = f"{1e3 * low:g}mm to {1e3 * high:g}mm"
-        raise InputError(f"--fit-tolerance {text}: it must be a length of {valid}, for example 5mm")
-    return length_m
+    valid = f"a length of {1e3 * low:g}mm to {1e3 * high:g}mm"
+    return quantity("--fit-tolerance", text, {**LENGTHS, "": 1.0}, "5mm", valid, low, high)
 
 
 def _robot_table(arm: robots.ImportedArm) -> Table:

@@ -4,6 +4,11 @@ At a rounded corner the controller's path is not known. It stays in the triangle
 and ends and of the corner itself, as a convex combination of both legs does. With a and b those points and c the
 corner, the triangle is the union of the segments from c + u (a - c) to c + u (b - c) with 0 <= u <= 1. A band of u of
 width w about such a segment is within w / 2 max(|a - c|, |b - c|) of it, joint by joint.
+
+At a flat corner the legs alone cover the triangle with less. Its points are c + s A + t B with A = a - c, B = b - c,
+s, t >= 0 and s + t <= 1. For any m > 0, c + (s - m t) A, if s >= m t, or else c + (t - s / m) B, is on a leg. It
+differs from the point by r (B + m A) with r = min(t, s / m) <= 1 / (1 + m). With m = |B| / |A| this is 0 if the path
+goes straight on.
 """
 
 from collections.abc import Callable
@@ -13,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 BANDS = 8  # number of bands of a corner's triangle
+TINY = 1e-300  # divisor in place of 0
 PLACES = 64  # places on half a leg at which the distance of the TCP from the corner is measured
 
 
@@ -77,8 +83,8 @@ def corners(
         shares[here] = _shares(x[ends][here], x[others][here], radius_m[ends][here], tcp_of)
     a, b = x[:-1] + after[:, None] * np.diff(x, axis=0), x[1:] - before[:, None] * np.diff(x, axis=0)
     legs = straight(x)._replace(coefficients=np.stack([a, b - a], axis=1), span=np.stack([after, 1 - before], axis=1))
-    bands = [_bands(k - 1, b[k - 1], x[k], a[k], before[k - 1]) for k in np.flatnonzero(rounded)]
-    found = JointCurves(*(np.concatenate(parts) for parts in zip(legs, *bands, strict=True)))
+    inside = [_inside(k - 1, b[k - 1], x[k], a[k], before[k - 1]) for k in np.flatnonzero(rounded)]
+    found = JointCurves(*(np.concatenate(parts) for parts in zip(legs, *inside, strict=True)))
     order = np.lexsort((found.span[:, 0], found.segment))
     return JointCurves(*(part[order] for part in found))
 
@@ -103,15 +109,19 @@ def _shares(
     return share[np.where(outside.any(axis=1), outside.argmax(axis=1), PLACES - 1)]
 
 
-def _bands(segment: int, a: np.ndarray, corner: np.ndarray, b: np.ndarray, share: float) -> JointCurves:
-    """Return the bands of one corner's triangle."""
+def _inside(segment: int, a: np.ndarray, corner: np.ndarray, b: np.ndarray, share: float) -> JointCurves:
+    """Return paths that cover one corner's triangle: bands, or both legs if they cover it with less."""
     u = (np.arange(BANDS) + 0.5)[:, None] / BANDS
     start, end = corner + u * (a - corner), corner + u * (b - corner)
-    wide = np.maximum(np.abs(a - corner), np.abs(b - corner)) / (2 * BANDS)
+    off = np.maximum(np.abs(a - corner), np.abs(b - corner)) / (2 * BANDS)
+    before, after = np.linalg.norm(a - corner), np.linalg.norm(b - corner)
+    around = np.abs(before * (b - corner) + after * (a - corner)) / max(before + after, TINY)
+    if around.sum() <= off.sum():
+        start, end, off = np.stack([a, corner]), np.stack([corner, b]), around
     return JointCurves(
         np.stack([start, end - start], axis=1),
-        np.tile(wide, (BANDS, 1)),
-        np.full(BANDS, segment),
-        np.tile([1 - share, 1.0], (BANDS, 1)),
-        np.zeros(BANDS, bool),
+        np.tile(off, (len(start), 1)),
+        np.full(len(start), segment),
+        np.tile([1 - share, 1.0], (len(start), 1)),
+        np.zeros(len(start), bool),
     )

@@ -13,7 +13,7 @@ from htcp_jax.proving.file_proof import motion_curves
 from htcp_jax.proving.prove import MotionProof, prove_curves, tighten
 from htcp_jax.proving.scene import scene_of
 from htcp_jax.proving.worst import Contact, deepest_contact
-from htcp_jax.status import SegmentStatus
+from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import output_files, temporary_folder
 from htcp_jax.trajectory import PlanProgram, ProgramFile
 
@@ -35,6 +35,11 @@ class ProgramProof(NamedTuple):
     def is_undecided(self) -> bool:
         """True if the motion is neither proven nor refuted."""
         return self.proof is not None and not self.proof.proven and not self.proof.refuted
+
+    @property
+    def cause(self) -> UndecidedCause:
+        """Cause for which the segment of the contact is undecided."""
+        return UndecidedCause(int(self.proof.cause[self.contact.segment]) if self.is_undecided else 0)
 
 
 def prove_program(

@@ -10,7 +10,7 @@ from htcp_jax.io import arrays
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
 from htcp_jax.runs import columns, provenance
-from htcp_jax.status import SegmentStatus
+from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import files, output_files
 
 PROOF, SEGMENTS, PICTURE = "proof.json", "segments.parquet", "proof.png"
@@ -24,6 +24,7 @@ SCHEMA = pa.schema(
         ("begin_s", pa.float64()),
         ("end_s", pa.float64()),
         ("verdict", pa.string()),
+        ("cause", pa.string()),
         ("clearance_m", pa.float64()),
         ("place_share", pa.float64()),
         ("deepest_share", pa.float64()),
@@ -37,11 +38,12 @@ REFUTED, UNDECIDED = 1, 4  # exit codes
 
 
 class UnprovenGroup(NamedTuple):
-    """Consecutive segments with the same verdict, none of them proven."""
+    """Consecutive segments with the same verdict and cause, none of them proven."""
 
     first: int
     last: int
     verdict: SegmentStatus
+    cause: UndecidedCause
     deepest: int | None  # segment with the deepest contact; None: not measured
 
 
@@ -65,6 +67,7 @@ def segment_rows(found: FileProof) -> list[dict[str, Any]]:
         row |= {"verdict": SegmentStatus.NOT_CHECKED.name, "queries": 0}
         if proof is not None:
             row |= {"verdict": SegmentStatus(int(proof.verdict[k])).name, "queries": int(proof.queries[k])}
+            row |= {"cause": UndecidedCause(int(proof.cause[k])).name if proof.cause[k] else None}
             row |= {"clearance_m": _finite(proof.clearance_m[k]), "place_share": _finite(proof.place[k])}
         if contact is not None:
             row |= {"deepest_share": contact.place, "body": contact.body, "other": contact.other}
@@ -77,14 +80,15 @@ def unproven_groups(found: FileProof) -> list[UnprovenGroup]:
     """Return the refuted and undecided segments in groups, refuted ones first, each by depth."""
     if found.proof is None:
         return []
-    verdicts, groups, begin = [SegmentStatus(int(each)) for each in found.proof.verdict], [], 0
-    for k in range(1, len(verdicts) + 1):
-        if k < len(verdicts) and verdicts[k] == verdicts[begin]:
+    results, groups, begin = list(zip(found.proof.verdict.tolist(), found.proof.cause.tolist(), strict=True)), [], 0
+    for k in range(1, len(results) + 1):
+        if k < len(results) and results[k] == results[begin]:
             continue
-        if verdicts[begin] != SegmentStatus.VALID:
+        verdict, cause = results[begin]
+        if verdict != SegmentStatus.VALID:
             known = [each for each in range(begin, k) if each in found.contacts]
             deepest = min(known, key=lambda each: found.contacts[each].clearance_m, default=None)
-            groups.append(UnprovenGroup(begin, k - 1, verdicts[begin], deepest))
+            groups.append(UnprovenGroup(begin, k - 1, SegmentStatus(verdict), UndecidedCause(cause), deepest))
         begin = k
     return sorted(groups, key=lambda each: _rank(found, each))
 
@@ -114,18 +118,49 @@ def headline(found: FileProof) -> str:
     if found.verdict == "proven":
         if math.isinf(found.guaranteed_m):
             return "proven: nothing is there to collide with"
-        k = int(found.proof.clearance_m.argmin())
+        k = decisive_segment(found)
+        assert k is not None
         pair = "" if (near := found.contacts.get(k)) is None else f": {near.body} next to {near.other}"
         return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
     group = unproven_groups(found)[0]
     if group.deepest is None:
         return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
-    contact = found.contacts[group.deepest]
-    where = f"{found.verdict}: {_where(found, group.deepest, contact.place)}"
+    where = _where(found, group.deepest, found.contacts[group.deepest].place)
+    return f"{found.verdict}: {where}: {_contact_text(found, group.deepest)}"
+
+
+def decisive_segment(found: FileProof) -> int | None:
+    """Return the segment with the deepest contact or, if all are proven, with the guaranteed clearance.
+
+    It is None if there is nothing to collide with, or if nothing is proven.
+    """
+    if found.proof is None or math.isinf(found.guaranteed_m):
+        return None
+    if found.verdict == "proven":
+        return int(found.proof.clearance_m.argmin())
+    group = unproven_groups(found)[0]
+    return group.first if group.deepest is None else group.deepest
+
+
+def segment_text(found: FileProof, segment: int) -> str:
+    """Return the verdict on a segment and its reason as text, such as "proven, at least 2 mm clear"."""
+    assert found.proof is not None
+    verdict, clearance_m = SegmentStatus(int(found.proof.verdict[segment])), float(found.proof.clearance_m[segment])
+    if verdict == SegmentStatus.VALID:
+        return "proven" if math.isinf(clearance_m) else f"proven, at least {_mm(clearance_m)} clear"
+    return f"{verdict.words}: {_contact_text(found, segment)}" if segment in found.contacts else verdict.words
+
+
+def _contact_text(found: FileProof, segment: int) -> str:
+    """Return the deepest contact on an unproven segment, and the cause if it is undecided."""
+    assert found.proof is not None
+    contact, cause = found.contacts[segment], UndecidedCause(int(found.proof.cause[segment])).message
+    cause = f"; {cause}" if cause else ""
     if contact.clearance_m <= 0:
-        return f"{where}: {contact.body} is {contact.depth} inside {contact.other}"
-    apart = f"{where}: {contact.body} is {_mm(contact.clearance_m)} from {contact.other}"
-    return f"{apart}, less than the margin of {_mm(found.margin_m)}" if found.verdict == "refuted" else apart
+        return f"{contact.body} is {contact.depth} inside {contact.other}{cause}"
+    is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN
+    less = f", less than the margin of {_mm(found.margin_m)}" if is_near else ""
+    return f"{contact.body} is {_mm(contact.clearance_m)} from {contact.other}{less}{cause}"
 
 
 def _where(found: FileProof, segment: int, share: float | None = None) -> str:
@@ -150,7 +185,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
     """Return the proof as values for JSON."""
     motion, proof = found.motion, found.proof
     rows = segment_rows(found)
-    least = None if proof is None or found.verdict != "proven" else int(proof.clearance_m.argmin())
+    least = decisive_segment(found) if found.verdict == "proven" else None
     return {
         "file": str(found.file),
         "verdict": found.verdict,

@@ -12,7 +12,7 @@ path inside a corner, or within the lag, may collide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from htcp_jax.motion import CollisionChecker, Problem
 from htcp_jax.proving.curves import JointCurves, straight
 from htcp_jax.proving.scene import Cell, scene_of
 from htcp_jax.spec import ObstacleKind, TaskRowKind
-from htcp_jax.status import SegmentStatus
+from htcp_jax.status import SegmentStatus, UndecidedCause
 
 KEPT = 0.5  # share of the clearance at an interval's middle that is proven on the interval
 TIGHT = 0.99  # this share for the segments of files that decide the guaranteed clearance, see `tighten`
@@ -40,6 +40,7 @@ class MotionProof:
     clearance_m: Float[np.ndarray, "*M m"]  # guaranteed clearance on all of the segment [m]; NaN if it is not proven
     place: Float[np.ndarray, "*M m"]  # share of the segment at which it is refuted or undecided [1]; NaN if proven
     queries: Int[np.ndarray, "*M m"]  # number of checked intervals, without those of paths that are not proven
+    cause: Int[np.ndarray, "*M m"]  # `status.UndecidedCause` of undecided segments; NONE of others
 
     @property
     def proven(self) -> Bool[np.ndarray, "*M"]:
@@ -103,12 +104,7 @@ def prove(
     lag = tracking_of(tracking_rad, joints)
     found = prove_within(problem, curves, lag, margin_m=margin_m, kept=kept)
     shape = (points - 1,) if x.ndim == 2 else (motions, points - 1)
-    return MotionProof(
-        found.verdict.reshape(shape),
-        found.clearance_m.reshape(shape),
-        found.place.reshape(shape),
-        found.queries.reshape(shape),
-    )
+    return MotionProof(*(getattr(found, field.name).reshape(shape) for field in fields(found)))
 
 
 def check_margin(margin_m: float) -> None:
@@ -164,10 +160,11 @@ def prove_within(
         return found
     exact = prove_curves(problem, curves.of_segments(undecided), margin_m=margin_m, kept=kept)
     refuted = ~np.isin(exact.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
-    verdict, place, queries = found.verdict.copy(), found.place.copy(), found.queries.copy()
+    verdict, place, queries, cause = (each.copy() for each in (found.verdict, found.place, found.queries, found.cause))
     verdict[undecided[refuted]], place[undecided[refuted]] = exact.verdict[refuted], exact.place[refuted]
     queries[undecided] += exact.queries
-    return MotionProof(verdict, found.clearance_m, place, queries)
+    cause[undecided] = np.where(exact.verdict == SegmentStatus.VALID, int(UndecidedCause.TRACKING), exact.cause)
+    return MotionProof(verdict, found.clearance_m, place, queries, cause)
 
 
 def tighten(
@@ -191,7 +188,7 @@ def tighten(
     clearance, queries = found.clearance_m.copy(), found.queries.copy()
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
-    return MotionProof(found.verdict, clearance, found.place, queries)
+    return replace(found, clearance_m=clearance, queries=queries)
 
 
 def prove_curves(
@@ -214,7 +211,7 @@ def prove_curves(
     done, count = 0, len(curves.segment)
     if not count:
         empty = np.zeros(0)
-        return MotionProof(empty.astype(np.int32), empty, empty, empty.astype(np.int32))
+        return MotionProof(empty.astype(np.int32), empty, empty, *(empty.astype(np.int32) for _ in range(2)))
 
     def run(checker: CollisionChecker, share: slice) -> bisection.Proof:
         nonlocal done
@@ -257,11 +254,13 @@ def _by_segment(curves: JointCurves, proofs: bisection.Proof) -> MotionProof:
     clearance, queries = np.full(count, np.inf), np.zeros(count, np.int64)
     np.minimum.at(clearance, curves.segment, proofs.clearance)
     np.add.at(queries, curves.segment, proofs.queries)
+    cause = np.where(curves.is_certain[first], int(UndecidedCause.SUBDIVISION), int(UndecidedCause.CORNER))
     return MotionProof(
         verdict[first].astype(np.int32),
         np.where(proven, clearance, np.nan),
         np.where(proven, np.nan, place[first]),
         queries,
+        np.where(rank[first] == 1, cause, int(UndecidedCause.NONE)),
     )
 
 

@@ -217,6 +217,7 @@ SEGMENTS = {
     "begin_s": "time at its begin; null if the file has no times",
     "end_s": "time at its end",
     "verdict": "VALID, IN_COLLISION, BELOW_MARGIN, UNDECIDED; NOT_CHECKED in a file that has only poses",
+    "cause": "of an undecided segment: TRACKING, CORNER, SUBDIVISION; null for others",
     "clearance_m": "guaranteed clearance on all of the segment; null if it is not proven, or without obstacles",
     "place_share": "place at which the segment is refuted or undecided, from 0 at its begin to 1; null if proven",
     "deepest_share": "place of the deepest contact that was found; null, as all below, if none was searched",

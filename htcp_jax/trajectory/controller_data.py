@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.io.motions import JointGroups
+from htcp_jax.io.motions import EncoderScale, JointGroups
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 
@@ -20,14 +20,6 @@ class UserFrame(NamedTuple):
     # Arm configuration flags, which select one of the IK solutions: six numbers, 0 or 1, in the order of INFORM's
     # RCONF: no flip, lower arm, rear, and R, T and S of 180 degrees or more.
     flags: Int[np.ndarray, "n 6"]
-
-
-class Pulses(NamedTuple):
-    """Encoder scale of a controller."""
-
-    per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]; negative for an opposite direction of rotation
-    zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
-    source: str  # origin of the scale, as text
 
 
 class PlannedTcp(NamedTuple):
@@ -48,7 +40,7 @@ class ControllerData(NamedTuple):
     tcp: PlannedTcp | None = None
     coupled: tuple[tuple[int, int], ...] = ()  # indices of a coupled axis and of the joint that is added to it
     user_frame: UserFrame | None = None
-    pulses: Pulses | None = None
+    pulses: EncoderScale | None = None
     groups: JointGroups | None = None  # None: all joints are the robot's
     date: datetime.datetime | None = None  # date to write into the file
     control_step_s: float = 0.002  # time step of the controller

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.motions import values_per_joint
 from htcp_jax.io.robots import RATES, JointLimits
 from htcp_jax.model import Robot
 from htcp_jax.spec import config
@@ -56,7 +57,7 @@ def joint_limits(
         InputError: If a joint has no velocity limit, or if a list in the job has not one value per joint.
     """
     job = config.ProgramConfig() if job is None else job
-    given = {kind: own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in RATES}
+    given = {kind: values_per_joint(robot, f"program.{kind}", getattr(job, kind)) for kind in RATES}
     own = own_rates(robot, stated)
     velocity = _given_or(given["velocity"], own["velocity"])
     for name, speed in zip(robot.joint_names, velocity, strict=True):
@@ -84,7 +85,7 @@ def stated_limits(
         InputError: If a list in the job has not one value per joint.
     """
     own = own_rates(robot, stated)
-    given = {kind: None if job is None else own_of(robot, f"program.{kind}", getattr(job, kind)) for kind in RATES}
+    given = {kind: values_per_joint(robot, f"program.{kind}", getattr(job, kind, None)) for kind in RATES}
     return MotionLimits(*(_given_or(given[kind], own[kind]) for kind in ("velocity", "acceleration", "jerk")))
 
 
@@ -112,24 +113,6 @@ def _of_coordinates(robot: Robot, limits: Float[np.ndarray, "J"]) -> Float[np.nd
         return limits
     size = np.abs(np.asarray(robot.coupling.factors))
     return np.where(size > 0, limits[:, None] / np.where(size > 0, size, 1.0), np.inf).min(axis=0)
-
-
-def own_of(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
-    """Return a job's list of one number per joint as an array [unit of the key]; None if the job has no list.
-
-    Args:
-        robot: The arm.
-        key: The list's dotted key, for messages.
-        values: The list [rad or m, or per s]; None: the job has no list.
-
-    Raises:
-        InputError: If the list's length is not the number of joints.
-    """
-    if values is None:
-        return None
-    if len(values) != len(robot.joint_names):
-        raise InputError(f"{key} has {len(values)} values, but the robot {robot.name} has {robot.counted_joints}")
-    return np.array(values)
 
 
 def _given_or(given: np.ndarray | None, otherwise: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.motions import coupled_axes, joint_groups
+from htcp_jax.io.motions import coupled_axes, encoder_scale, joint_groups
 from htcp_jax.io.robots import joints_in_file
 from htcp_jax.jobs import build
 from htcp_jax.model import Robot, joints_between, kinematics
@@ -25,13 +25,13 @@ from htcp_jax.spec import PlanConfig, config_file, feed, strict_model
 from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
-from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, Pulses, UserFrame
+from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
-from htcp_jax.trajectory.limits import MotionLimits, joint_limits, own_of
+from htcp_jax.trajectory.limits import MotionLimits, joint_limits
 from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.near_part import near_part_speeds
 from htcp_jax.trajectory.program import Program, time_motion
@@ -172,7 +172,7 @@ class PlanProgram(NamedTuple):
             tcp=self._planned_tcp(),
             coupled=self._coupled(format),
             user_frame=self._user_frame(timed) if format == "jbi" else None,
-            pulses=self._pulses(),
+            pulses=encoder_scale(self.job, self.robot),
             groups=groups,
             control_step_s=requested.control_step_s,
             in_file=in_file and in_file.order,
@@ -215,15 +215,6 @@ class PlanProgram(NamedTuple):
         between, _ = joints_between(self.robot.parents, names.index(last), names.index(first))
         with_first = np.asarray(self.robot.coupling.factors)[:, self.robot.joint_names.index(first)] != 0
         return ", ".join(names[j] for j in between if j in self.robot.followers and with_first[j])
-
-    def _pulses(self) -> Pulses | None:
-        if (requested := self.job.program.pulses) is None:
-            return None
-        per_rad = own_of(self.robot, "program.pulses.per_rad", requested.per_rad)
-        if not per_rad.all():
-            raise InputError("program.pulses.per_rad must not be 0 for any joint")
-        zero = own_of(self.robot, "program.pulses.zero_rad", requested.zero_rad)
-        return Pulses(per_rad, np.zeros(len(per_rad)) if zero is None else zero, requested.source)
 
 
 def program_of(

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Int8
 
 from htcp_jax.model import Robot
 from htcp_jax.motion import plans
-from htcp_jax.status import Kind, Status
+from htcp_jax.status import Kind, SegmentStatus, Status
 
 LINKS, TOOL, INK, PAPER, FAILED = "#8d99a6", "#3c6e71", "#22303c", "#ffffff", "#c8102e"
 NEAREST, DWELL, HERE = "#b5179e", "#0b8f6a", "#f6c945"  # colours of the minimum clearance, dwells, the displayed target
@@ -44,6 +44,16 @@ def target_styles(status: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
         TargetStyle("tracked", status == Status.TRACKED, "#1f6fb4", 16, "o"),
         TargetStyle("tracked after a recovery", status == Status.TRACKED_AFTER_RECOVERY, "#e8890c", 34, "D"),
         TargetStyle("failed", failed, FAILED, 130, "X"),
+    ]
+
+
+def verdict_styles(verdict: Int8[np.ndarray, "T"]) -> list[TargetStyle]:
+    """Return a marker style for each verdict on the segments to a file's configurations; refuted ones are last."""
+    undecided, proven = verdict == SegmentStatus.UNDECIDED, verdict == SegmentStatus.VALID
+    return [
+        TargetStyle("proven", proven, "#1f6fb4", 16, "o"),
+        TargetStyle("undecided", undecided, "#e8890c", 34, "D"),
+        TargetStyle("refuted", ~proven & ~undecided, FAILED, 34, "X"),
     ]
 
 

@@ -4,18 +4,18 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.io.parts import NoCloud, load_workpiece
 from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, start_cause
-from htcp_jax.proving import FileProof
+from htcp_jax.proving import FileProof, proof_record
 from htcp_jax.spec import PlanConfig
 from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.trajectory import tcp_at
-from htcp_jax.viewer.replay import Replays, replays_of
+from htcp_jax.viewer.replay import Replays, ShownFile, replays_of
 
 BETWEEN = 4  # displayed configurations between the ends of a curved segment
 METHOD = "file"  # in place of the planning method's name
@@ -40,21 +40,14 @@ def replays_of_file(found: FileProof) -> Replays:
     Raises:
         InputError: If the file has only poses, or if it was proven for a robot without a job.
     """
-    scene, motion = found.scene, found.motion
+    scene = found.scene
     if found.proof is None or found.curves is None:
         raise InputError(f"{found.file} has poses only; a file with joint values can be played")
     if scene.job is None:
         raise InputError(f"{found.file} can be played in the cell of a job, not for a robot alone")
-    between = 0 if motion.interpolation == "linear" else BETWEEN
-    x, verdict, bound = [motion.x[:1]], [int(SegmentStatus.VALID)], [np.nan]
-    for k, status in enumerate(found.proof.verdict.tolist()):
-        if between:
-            share = np.arange(1, between + 1) / (between + 1)
-            x.append(np.polynomial.polynomial.polyval(share, found.curves.coefficients[k]).T)
-        x.append(motion.x[k + 1 : k + 2])
-        verdict += [status] * (between + 1)
-        bound += [float(found.proof.clearance_m[k])] * (between + 1)
-    rows = np.concatenate(x)
+    rows, segment, share = _configurations(found)
+    verdict, bound = found.proof.verdict[segment], found.proof.clearance_m[segment]
+    verdict[0], bound[0] = SegmentStatus.VALID, np.inf
     problem = scene.problem
     scenario = jax.tree.map(lambda leaf: leaf[0], problem.scenarios)
     tcp = tcp_at(robots.lengthen_tool(problem.robot, float(scenario.tool_extension_m)), rows)[0]
@@ -72,7 +65,52 @@ def replays_of_file(found: FileProof) -> Replays:
         getattr(plans, name)[0] = values
     job = scene.job.model_copy(update={"method": METHOD, "start_rad": "auto"})  # without targets before the path
     part = problem.workpiece if scene.has_part else _dots(tcp)
-    return replays_of(found.file.name, _PlayedFile(job, problem.robot, part, scenario, plans))
+    played = _PlayedFile(job, problem.robot, part, scenario, plans)
+    return replays_of(found.file.name, played, _shown(found, segment, share))
+
+
+def _configurations(
+    found: FileProof,
+) -> tuple[Float[np.ndarray, "T N"], Int[np.ndarray, "T"], Float[np.ndarray, "T"]]:
+    """Return the configurations to display: those of the file, some of curves, and those of the deepest contacts.
+
+    Returns:
+        The configurations, the segment that leads to each, and its place there as a share of the segment; the first
+        one is at the begin of segment 0.
+    """
+    motion, proof, curves = found.motion, found.proof, found.curves
+    assert proof is not None and curves is not None
+    inner = [] if motion.interpolation == "linear" else (np.arange(1, BETWEEN + 1) / (BETWEEN + 1)).tolist()
+    rows = [(motion.x[0], 0, 0.0)]
+    for k, verdict in enumerate(proof.verdict.tolist()):
+        more = [(np.polynomial.polynomial.polyval(s, curves.coefficients[k]), k, s) for s in inner]
+        if verdict != SegmentStatus.VALID and (contact := found.contacts.get(k)) is not None and 0 < contact.place < 1:
+            more.append((contact.x, k, contact.place))
+        rows += [*sorted(more, key=lambda row: row[2]), (motion.x[k + 1], k, 1.0)]
+    x, segment, share = zip(*rows, strict=True)
+    return np.stack(x), np.array(segment), np.array(share)
+
+
+def _shown(found: FileProof, segment: Int[np.ndarray, "T"], share: Float[np.ndarray, "T"]) -> ShownFile:
+    """Return the proof as texts for the displayed configurations."""
+    line, places, segments = found.motion.line.tolist(), [], []
+    for k, s in zip(segment.tolist(), share.tolist(), strict=True):
+        lines = proof_record.lines_of(found, k)
+        is_end = s in (0, 1)
+        places.append(f"{found.counted} {line[k + int(s)]}" if is_end else f"{lines}, {100 * s:.0f} % of the way")
+        segments.append(f"{lines.capitalize()}: {proof_record.segment_text(found, k)}.")
+    segments[0] = "The motion begins here."
+    decisive, first, mark = proof_record.decisive_segment(found), 0, ""
+    contact = None if decisive is None else found.contacts.get(decisive)
+    if decisive is not None and contact is not None:
+        clear = f"{1e3 * contact.clearance_m:.3g} mm clear"
+        mark = f"{proof_record.lines_of(found, decisive)}: "
+        mark += clear if contact.clearance_m > 0 else f"{contact.depth} deep"
+        if found.verdict != "proven":
+            first = int(np.abs(segment + share - (decisive + contact.place)).argmin())
+    nearest = None if contact is None else contact.x
+    texts = proof_record.headline(found), tuple(places), tuple(segments)
+    return ShownFile(*texts, first, nearest, mark, found.scene.has_part)
 
 
 def _dots(points: Float[np.ndarray, "n 3"]) -> Workpiece:

@@ -30,7 +30,7 @@ from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import MotionSummary, PlanSet, open_plans, summarise_motion
 from htcp_jax.spec import PlanConfig
 from htcp_jax.viewer.arm_pose import arms_at, links_at, moved, roots_at
-from htcp_jax.viewer.colours import is_tool
+from htcp_jax.viewer.colours import TargetStyle, is_tool, target_styles, verdict_styles
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
 from htcp_jax.viewer.viewpoints import ShownBodies, ShownScene, Viewpoint, camera_view, camera_view_of
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
@@ -55,11 +55,25 @@ class NarrowSegment(NamedTuple):
     """Segment with the smallest guaranteed clearance, and the minimum distance sampled on it."""
 
     target: int  # target at the end of the segment
-    proven_m: float  # guaranteed clearance along the segment
     seen_m: float  # minimum distance at SEGMENT_SAMPLES samples
     body: str  # name of the nearest capsule
     arm: Float[np.ndarray, "3"]  # nearest point on this capsule's surface, world [m]
     cloud: Float[np.ndarray, "3"]  # nearest point of the obstacle, world [m]
+
+
+class ShownFile(NamedTuple):
+    """What the proof of a motion in a file says, for its T displayed configurations, which stand for a plan's targets.
+
+    The text of the segment to configuration 0 says that the motion begins there.
+    """
+
+    headline: str  # verdict on the motion, and its reason
+    places: tuple[str, ...]  # place of each configuration in the file, such as "line 23"
+    segments: tuple[str, ...]  # verdict on the segment to each configuration, as a sentence
+    first: int  # configuration to show first
+    nearest: Float[np.ndarray, "N"] | None  # deepest contact, or the nearest one of a proven motion; None: no obstacle
+    mark: str  # short text about it
+    has_part: bool  # False: the cell has no workpiece
 
 
 class Replay(NamedTuple):
@@ -95,6 +109,7 @@ class Replay(NamedTuple):
     side_in_world: Viewpoint  # viewpoint in the world
     fixtures: surfaces.WorldGeometry  # other obstacles
     normals: NormalGlyphs  # normals of the path; empty if the task does not refer to them
+    file: ShownFile | None = None  # proof of the file from which the motion is; None: it was planned
 
     @property
     def cloud(self) -> Float[np.ndarray, "P 3"]:
@@ -105,6 +120,11 @@ class Replay(NamedTuple):
     def pieces(self) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:
         """Convex pieces that are checked, by capsule: vertices in the frame of the link [m], radius about them [m]."""
         return robots.checked_pieces(self.robot)
+
+    @property
+    def styles(self) -> list[TargetStyle]:
+        """Marker styles of the targets."""
+        return target_styles(self.status) if self.file is None else verdict_styles(self.segment_status)
 
     @property
     def outcome(self) -> plan_arrays.Outcome:
@@ -135,6 +155,7 @@ class Replays:
         plans: Function that returns a method's plans; row s is scenario s.
         cells: The workcells of the scenarios.
         labels: The scenarios' varied parameters as text, by number; None: no labels.
+        file: Proof of the file from which the only scenario's motion is; None: it was planned.
     """
 
     def __init__(
@@ -144,8 +165,9 @@ class Replays:
         plans: Callable[[str], Plans],
         cells: Workcells,
         labels: dict[int, str] | None = None,
+        file: ShownFile | None = None,
     ):
-        self.name, self.methods, self.labels = name, methods, labels or {}
+        self.name, self.methods, self.labels, self.file = name, methods, labels or {}, file
         self.plans, self.cells = lru_cache(maxsize=None)(plans), cells
 
     def outcomes(self, method: str) -> list[plan_arrays.Outcome]:
@@ -178,7 +200,10 @@ class Replays:
         robot = robots.lengthen_tool(cell.robot, placement.tool_extension_m)
         alone, on_path = plans.rows([number]), min(cell.approach, len(x))
         summary = summarise_motion(alone, on_path)
-        looked_at = _segment_samples(alone, summary.clearance_target)
+        narrowest, looked_at = summary.clearance_target, _segment_samples(alone, summary.clearance_target)
+        if self.file is not None:
+            narrowest, nearest = (None, x[0]) if self.file.nearest is None else (self.file.first, self.file.nearest)
+            looked_at = np.tile(nearest, (len(looked_at), 1))
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         shape = arms_at(robot, x)
         surface = cell.surface.placed(placement.T_world_workpiece)
@@ -208,7 +233,7 @@ class Replays:
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
-            narrow=_narrow(summary, witness.rows(slice(len(x), None))),
+            narrow=_narrow(narrowest, witness.rows(slice(len(x), None))),
             segment_status=plans.segment_status[number, there],
             segment_clearance=plans.segment_clearance[number, there],
             obstruction=blocked,
@@ -216,6 +241,7 @@ class Replays:
             side_in_world=side_in_world,
             fixtures=cell.fixtures,
             normals=glyphs(cell.config.task, cell.workpiece, placement.T_world_workpiece),
+            file=self.file,
         )
 
     def label(self, number: int) -> str:
@@ -290,15 +316,16 @@ class PlannedJob(Protocol):
     plans: Plans
 
 
-def replays_of(name: str, plan: PlannedJob) -> Replays:
+def replays_of(name: str, plan: PlannedJob, file: ShownFile | None = None) -> Replays:
     """Return the `Replays` of a plan in memory.
 
     Args:
         name: Name of the plan, for messages.
         plan: The plan.
+        file: Proof of the file from which the motion is; None: it was planned.
     """
     cells = GivenCell(Workcell(plan.job, plan.robot, plan.workpiece), plan.scenario)
-    return Replays(name, (plan.job.method,), lambda _: plan.plans, cells)
+    return Replays(name, (plan.job.method,), lambda _: plan.plans, cells, file=file)
 
 
 def _shown_targets(tracked: np.ndarray, path: int) -> np.ndarray:
@@ -326,20 +353,18 @@ def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N
     return np.stack([np.interp(place, np.arange(len(x)), joint) for joint in x.T], axis=1)
 
 
-def _narrow(summary: MotionSummary, seen: Witness) -> NarrowSegment | None:
+def _narrow(target: int | None, seen: Witness) -> NarrowSegment | None:
     """Return the segment with the smallest guaranteed clearance; None if no segment is executable.
 
     Args:
-        summary: Figures of the motion.
+        target: Target at the end of the segment; None: no segment.
         seen: Nearest points at samples of the segment.
     """
-    if summary.clearance_target is None:
+    if target is None:
         return None
     apart = np.linalg.norm(seen.arm - seen.cloud, axis=1)
     k = int(apart.argmin())
-    return NarrowSegment(
-        summary.clearance_target, summary.clearance_m, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k]
-    )
+    return NarrowSegment(target, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k])
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:

@@ -16,8 +16,9 @@ from htcp_jax.spec import PlanConfig
 class EncoderScale(NamedTuple):
     """Encoder scale of a controller."""
 
-    per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]
+    per_unit: Float[np.ndarray, "N"]  # pulses [1/rad or 1/m]; negative for an opposite direction of rotation
     zero: Float[np.ndarray, "N"]  # joint values at 0 pulses [rad or m]
+    source: str = ""  # origin of the scale, as text
 
 
 class JointGroups(NamedTuple):
@@ -56,25 +57,50 @@ def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> Jo
         InputError: If the job's section `program` names a joint that the robot does not command, or has another number
             of pulses than the robot has joints, and for a model file that cannot be read.
     """
-    own, asked = robot.joint_names, job.program
-    coupled, groups = coupled_axes(job, robot), joint_groups(job, robot)
-    pulses = in_file = None
-    if (scale := asked.pulses) is not None:
-        zero = scale.zero_rad or (0.0,) * len(own)
-        for key, values in (("per_rad", scale.per_rad), ("zero_rad", zero)):
-            if len(values) != len(own):
-                raise InputError(
-                    f"program.pulses.{key} has {len(values)} values, but {robot.name} has {len(own)} joints"
-                )
-        if not all(scale.per_rad):
-            raise InputError("program.pulses.per_rad must not be 0 for any joint")
-        pulses = EncoderScale(np.array(scale.per_rad), np.array(zero))
+    in_file: tuple[int, ...] | None = None
     locked: Mapping[str, float] = dict(job.robot.locked)
     if of_model:
-        every_name = [*own, *(robot.all_joint_names[j] for j in robot.followers)]
+        every_name = [*robot.joint_names, *(robot.all_joint_names[j] for j in robot.followers)]
         found = joints_in_file(job.tree or job.robot.file, every_name, dict(locked))
         in_file, locked = found.order, found.locked
-    return JobController(coupled, pulses, groups, in_file, locked)
+    return JobController(coupled_axes(job, robot), encoder_scale(job, robot), joint_groups(job, robot), in_file, locked)
+
+
+def encoder_scale(job: PlanConfig, robot: Robot) -> EncoderScale | None:
+    """Return the encoder scale in a job's section `program`; None if it has none.
+
+    Args:
+        job: The job.
+        robot: Its robot.
+
+    Raises:
+        InputError: For another number of values than the robot has joints, and for 0 pulses per unit.
+    """
+    if (stated := job.program.pulses) is None:
+        return None
+    per_unit = values_per_joint(robot, "program.pulses.per_rad", stated.per_rad)
+    zero = values_per_joint(robot, "program.pulses.zero_rad", stated.zero_rad)
+    if not all(stated.per_rad):
+        raise InputError("program.pulses.per_rad must not be 0 for any joint")
+    return EncoderScale(per_unit, np.zeros(len(per_unit)) if zero is None else zero, stated.source)
+
+
+def values_per_joint(robot: Robot, key: str, values: tuple[float, ...] | None) -> Float[np.ndarray, "N"] | None:
+    """Return a job's list of one number per joint as an array [unit of the key]; None if the job has no list.
+
+    Args:
+        robot: The robot.
+        key: The list's dotted key, for messages.
+        values: The list [rad or m, or per s]; None: the job has no list.
+
+    Raises:
+        InputError: If the list's length is not the number of joints.
+    """
+    if values is None:
+        return None
+    if len(values) != len(robot.joint_names):
+        raise InputError(f"{key} has {len(values)} values, but the robot {robot.name} has {robot.counted_joints}")
+    return np.array(values)
 
 
 def coupled_axes(job: PlanConfig, robot: Robot) -> tuple[tuple[int, int], ...]:

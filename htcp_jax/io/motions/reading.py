@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions.arranging import arranged
 from htcp_jax.io.motions.csv_file import read_csv
@@ -40,6 +42,7 @@ ENDINGS = {
     ".urscript": "urscript",
 }  # fmt: skip
 OPEN_END = {"csv", "ros", "urscript"}  # formats in which a cut file may be valid
+RADIANS = {"ros", "ros-json", "keyframes", "urscript"}  # formats whose language has angles in radians only
 LINE_ENDS = b"\n", b"\r", b"\x1a"
 BEGINNING = 100_000  # part of a text in which its format is looked for [bytes]
 CONTENTS = (  # formats by their text, in this order
@@ -90,7 +93,18 @@ def read_motion(
     rows = MOTION_FORMATS[name](source)
     if name in OPEN_END and not data.endswith(LINE_ENDS):
         rows = rows._replace(notes=(*rows.notes, "The last line has no line end; check that the file is complete."))
-    return arranged(source, rows, name, interpolation)
+    found = arranged(source, rows, name, interpolation)
+    return found._replace(notes=(*found.notes, *_degrees(found, robot))) if name in RADIANS else found
+
+
+def _degrees(motion: MotionFile, robot: Robot) -> list[str]:
+    """Return a note about the first angle above a turn, as of a program that was written in degrees."""
+    wide = np.argwhere((np.abs(motion.x) > 2 * np.pi) & ~np.asarray(robot.sliding, bool))
+    if not len(wide):
+        return []
+    n, joint = wide[0].tolist()
+    what = f"{robot.joint_names[joint]} is {motion.x[n, joint]:.9g} rad on {motion.counted} {motion.line[n]}"
+    return [f"{what}, more than a turn; if the file is in degrees, convert it to radians."]
 
 
 def format_of_content(file: Path, data: bytes) -> str:

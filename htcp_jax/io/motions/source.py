@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.motions.job_controller import JointGroups
+from htcp_jax.io.motions.job_controller import EncoderScale, JointGroups
 from htcp_jax.model import Robot
 
 DEG = np.pi / 180
@@ -16,19 +16,6 @@ ANGLES = {"rad": 1.0, "deg": DEG}
 LENGTHS = {"m": 1.0, "mm": 1e-3}
 LARGEST = 1e100  # numbers of this magnitude or more count as infinite
 MOST_LISTED = 300  # maximum number of characters of a list of names in a message
-
-
-@runtime_checkable
-class PulseScale(Protocol):
-    """Encoder scale of a controller."""
-
-    @property
-    def per_unit(self) -> Float[np.ndarray, "N"]:
-        """Pulses [1/rad or 1/m]."""
-
-    @property
-    def zero(self) -> Float[np.ndarray, "N"]:
-        """Joint values at 0 pulses [rad or m]."""
 
 
 @runtime_checkable
@@ -40,7 +27,7 @@ class Controller(Protocol):
         """Indices of coupled axes and of the joints that are added to them."""
 
     @property
-    def pulses(self) -> PulseScale | None:
+    def pulses(self) -> EncoderScale | None:
         """Encoder scale."""
 
     @property

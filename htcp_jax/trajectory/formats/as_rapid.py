@@ -1,8 +1,9 @@
 r"""RAPID of ABB: one `MoveAbsJ` for each configuration, with its time.
 
 `MoveAbsJ` moves all axes, including external axes, along straight joint paths, which are proven. `\T` sets the duration
-of each move, and zone z0 passes each configuration without a stop. Source: ABB, Technical reference manual, RAPID
-Instructions, Functions and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint, extjoint, zonedata.
+of each move. Zone z0 passes a configuration without a stop; where the motion stops, the zone is fine. Source: ABB,
+Technical reference manual, RAPID Instructions, Functions and Data types, 3HAC050917: MoveAbsJ, jointtarget, robjoint,
+extjoint, zonedata.
 """
 
 import re
@@ -25,11 +26,12 @@ RULE = "up to {} letters, digits and _, a letter first"
 FRAME_LINES = 4  # lines of a module other than comments and moves
 FLANGE_TOOL = "tool0"  # predefined; its TCP is at the flange
 ROBOT_AXES, EXTERNAL_AXES = 6, 6
+SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
 LEAST_S = 1e-6  # last digit of a time; a time of 0 is not valid
 NOT_CONNECTED = "9E9"
 MORE = (
     "The arm first goes slowly from wherever it stands to the first configuration.",
-    "Between configurations the controller rounds corners by zone z0.",
+    "At configurations the controller rounds corners by zone z0, except where the motion stops.",
 )
 
 
@@ -80,8 +82,10 @@ def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple
     sums = [f"{timed.joint_names[k]} is written as its sum with {timed.joint_names[j]}." for k, j in controller.coupled]
     about = header(timed, *MORE, CHECK_AXES, *sums, f"Degrees and mm. {_tool_line(tool, controller)}")
     moves = [f"MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};"]
-    for k, (place, seconds) in enumerate(zip(places[1:], np.diff(timed.time_s).tolist(), strict=True), start=1):
-        zone = "fine" if k == len(timed.x) - 1 else "z0"
+    stops = np.abs(timed.velocity).max(axis=1) <= SLOWEST
+    stops[-1] = True
+    for place, seconds, is_stop in zip(places[1:], np.diff(timed.time_s).tolist(), stops[1:].tolist(), strict=True):
+        zone = "fine" if is_stop else "z0"
         moves.append(f"MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
     return about, moves
 

@@ -13,7 +13,7 @@ from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
-FOVY_RAD, ASPECT = np.radians(40.0), 1.05  # vertical field of view, and width / height, of the initial camera
+FOVY_RAD, ASPECT = np.radians(40.0), 0.83  # vertical field of view, and width / height, of the initial camera
 CLOSER_M = 0.25  # distance of the camera from the pair of nearest points
 SIDES = "open side", "above", "front", "nothing"  # sides from which the workpiece can be cut
 
@@ -37,7 +37,8 @@ class DisplayOptions:
         # visible if the part moves
         self._from_part = gui.add_checkbox("View relative to the part", False, visible=False)
         self._from_part.on_update(lambda _: self._turn())
-        with gui.add_folder("Workpiece"):
+        self._folder = gui.add_folder("Workpiece")
+        with self._folder:
             self._side = gui.add_dropdown("Cut from", SIDES, initial_value=SIDES[0])
             self._share = gui.add_slider("Cut off [%]", 0, 100, 1, 50)
             self._size = gui.add_slider("Point size [mm]", 1.0, 20.0, 0.5, 7.0)
@@ -62,6 +63,7 @@ class DisplayOptions:
             poses: The arm's poses during the motion.
         """
         self._replay, self._poses = replay, poses
+        self._folder.visible = replay.file is None or replay.file.has_part
         self._stage.show(replay, self._opacity.value / 100)
         if replay.robot.part_moves and not self._from_part.visible:
             self._side.value = "nothing"

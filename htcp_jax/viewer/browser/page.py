@@ -115,6 +115,10 @@ class Viewer:
         self._method = gui.add_dropdown("Method", self._replays.methods, initial_value=replay.method)
         names = self._names(replay.method)
         self._scenario = gui.add_dropdown("Scenario", tuple(names), initial_value=name_of(names, replay.number))
+        if replay.file is not None:
+            self._method.visible = self._scenario.visible = False
+            verdict, _, reason = replay.file.headline.partition(": ")
+            gui.add_markdown(f"**{verdict}**: {escaped(reason)}")
         self._slider: viser.GuiSliderHandle | None = None
         self._facts = gui.add_markdown("")
         self._playing = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
@@ -165,7 +169,7 @@ class Viewer:
             self._display.show(replay, timeline.passed)
             self.plots.show(replay, timeline.curves)
             self._show_timeline()
-            self.go_to(0)
+            self.go_to(0 if replay.file is None else replay.file.first)
 
     def _show_timeline(self) -> None:
         """Replace the slider and the list of playback rates by those of the current timeline."""

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from htcp_jax.viewer.colours import HERE, INK, KINDS, TargetStyle, joint_colour, target_styles
+from htcp_jax.viewer.colours import HERE, INK, KINDS, TargetStyle, joint_colour
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.timed_play import BOUNDS, Curves
 
@@ -40,8 +40,8 @@ class Plots:
             )
             self._legend({name: joint_colour(k) for k, name in enumerate(curves.share_percent)})
         scales = {"x": {"time": False}, "y": {"distr": LOG}}
-        self.clearance = self._plot("Clearance [mm]", _curves(replay, 0), _series(replay), scales, "target")
-        self._legend({style.name: style.colour for style in target_styles(replay.status) if style.where.any()})
+        self.clearance = self._plot("Clearance [mm]", _curves(replay, 0), _series(replay), scales, _across(replay))
+        self._legend({style.name: style.colour for style in replay.styles if style.where.any()})
 
     def at_target(self, target: int) -> None:
         """Mark the displayed target in the clearance plot."""
@@ -122,26 +122,30 @@ def _line(label: str, colour: str) -> uplot.Series:
 def _curves(replay: Replay, target: int) -> tuple[np.ndarray, ...]:
     """Return the columns of the clearance plot: index, all clearances, those of each style, and the displayed target's.
 
-    A failed target is drawn at the minimum clearance.
+    A failed target, and a configuration in collision, is drawn at the minimum clearance.
     """
     index = np.arange(len(replay.target), dtype=float)
-    clearance = 1e3 * replay.clearance
+    clearance = np.where(replay.clearance > 0, 1e3 * replay.clearance, np.nan)
     least = np.nanmin(clearance, initial=np.inf)
     known = np.where(np.isnan(clearance), least if np.isfinite(least) else 1.0, clearance)
     parts = [np.where(style.where, known, np.nan) for style in _plotted(replay)]
-    return index, clearance, *parts, np.where(index == target, known, np.nan)
+    return index, clearance if replay.file is None else known, *parts, np.where(index == target, known, np.nan)
 
 
 def _series(replay: Replay) -> tuple[uplot.Series, ...]:
     def points(colour: str, size: int) -> uplot.Series:
         return {"stroke": colour, "width": 0, "points": {"show": True, "size": size, "fill": colour, "space": 0}}
 
-    sizes = {"tracked": 3, "tracked after a recovery": 6, "failed": 11}
-    parts = [{"label": style.name, **points(style.colour, sizes[style.name])} for style in _plotted(replay)]
+    sizes = {"tracked": 3, "proven": 3, "failed": 11}
+    parts = [{"label": style.name, **points(style.colour, sizes.get(style.name, 6))} for style in _plotted(replay)]
     here = {"label": "shown", "stroke": INK, "width": 0}
     here["points"] = {"show": True, "size": 12, "fill": HERE, "stroke": INK, "width": 1.5, "space": 0}
-    return {"label": "target"}, {"label": "clearance", "stroke": "#9fb3c2", "width": 1}, *parts, here
+    return {"label": _across(replay)}, {"label": "clearance", "stroke": "#9fb3c2", "width": 1}, *parts, here
 
 
 def _plotted(replay: Replay) -> list[TargetStyle]:
-    return [style for style in target_styles(replay.status) if style.name != "not attempted"]
+    return [style for style in replay.styles if style.name != "not attempted"]
+
+
+def _across(replay: Replay) -> str:
+    return "target" if replay.file is None else "configuration"

@@ -12,7 +12,6 @@ import viser
 from jaxtyping import Float
 
 from htcp_jax.model import surface as surfaces
-from htcp_jax.reachability import Obstruction
 from htcp_jax.viewer.arm_pose import ArmPose, seen
 from htcp_jax.viewer.camera import lowest
 from htcp_jax.viewer.colours import (
@@ -29,7 +28,6 @@ from htcp_jax.viewer.colours import (
     WALL,
     is_tool,
     rgb,
-    target_styles,
 )
 from htcp_jax.viewer.drawn_meshes import rounded_hull
 from htcp_jax.viewer.playback import pose_at
@@ -123,8 +121,11 @@ class BrowserScene:
         with self._server.atomic():
             blocked = replay.obstruction if target == replay.failed else None
             self.move(pose_at(replay, target))
+            colliding = replay.witness.body[target] if replay.clearance[target] <= 0 else None
+            if blocked is not None:
+                colliding = blocked.body if blocked.collides else None
             for k, (node, shown) in enumerate(zip(self._arm, self.arm_colours, strict=True)):
-                if shown != (colour := tuple(compensated(self._colour(k, blocked)).tolist())):
+                if shown != (colour := tuple(compensated(self._colour(k, colliding)).tolist())):
                     node.color = colour
             self._here.position = replay.target[target]
             pair = np.stack([replay.witness.arm[target], replay.witness.cloud[target]]).astype(np.float32)
@@ -134,7 +135,9 @@ class BrowserScene:
             there = np.linalg.norm(replay.cloud - pair[1], axis=1) < AROUND_M
             self._around.points = replay.cloud[there].astype(np.float32)
             distance = 1e3 * replay.clearance[target]
-            near = "" if np.isnan(distance) else f"{distance:.4g} mm at target {target}"
+            place = f"target {target}" if replay.file is None else replay.file.places[target]
+            deep = " deep" if distance <= 0 else ""
+            near = "" if np.isnan(distance) else f"{abs(distance):.4g} mm{deep} at {place}"
             self._label.text = near if blocked is None else blocked.description
 
     def move(self, pose: ArmPose) -> None:
@@ -206,12 +209,12 @@ class BrowserScene:
         name, colour = f"/arm/{'tip' if last else f'{k + 1} {robot.capsule_names[k]}'}", compensated(self._colour(k))
         return self._scene.add_mesh_simple(name, *mesh, color=colour, opacity=opacity, flat_shading=piece is not None)
 
-    def _colour(self, k: int, blocked: Obstruction | None = None) -> str:
-        """Return the colour of capsule k, highlighted if it collides; an index after the last is the bare tip."""
+    def _colour(self, k: int, colliding: str | None = None) -> str:
+        """Return the colour of capsule k, highlighted if it is `colliding`; an index after the last is the bare tip."""
         robot = self._replay.robot
         if k == len(robot.capsule_names):
             return TOOL
-        if blocked is not None and blocked.collides and robot.capsule_names[k] == blocked.body:
+        if robot.capsule_names[k] == colliding:
             return FAILED
         return TOOL if is_tool(robot)[k] else LINKS
 
@@ -225,9 +228,9 @@ class BrowserScene:
 
     def _add_targets(self) -> None:
         replay = self._replay
-        for style in target_styles(replay.status):
+        for style in replay.styles:
             if style.where.any():
-                radius = FAILED_M if style.colour == FAILED else BEAD_M
+                radius = FAILED_M if style.name == "failed" else BEAD_M
                 self._add_balls(f"{PART}/targets/{style.name}", replay.target[style.where], radius, style.colour)
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
         if len(legs):
@@ -252,6 +255,7 @@ class BrowserScene:
         if (narrow := replay.narrow) is not None:
             words = f"minimum clearance, on the segment to target {narrow.target}: {replay.summary.proven} proven, "
             words += f"{1e3 * narrow.seen_m:.3g} mm sampled"
+            words = words if replay.file is None else replay.file.mark
             label_at = narrow.cloud + np.array([0.0, 0.0, LEADER_M])
             leader, thin = np.stack([narrow.cloud, label_at])[None], {"thickness": 1, "thickness_units": "screen"}
             ball = {"radius": MINIMUM_M, "color": compensated(NEAREST), "cast_shadow": False}

@@ -6,7 +6,7 @@ from htcp_jax.markup import escaped
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import plans
 from htcp_jax.status import SegmentStatus, Status
-from htcp_jax.viewer.replay import Replay, Replays
+from htcp_jax.viewer.replay import Replay, Replays, ShownFile
 
 
 def describe(outcome: plans.Outcome, replays: Replays) -> str:
@@ -24,6 +24,8 @@ def name_of(names: dict[str, int], number: int) -> str | None:
 
 def target_facts(replay: Replay, target: int) -> str:
     """Return a description of a target's result, in Markdown."""
+    if replay.file is not None:
+        return _file_facts(replay, replay.file, target)
     status = Status(int(replay.status[target]))
     what = f"**Target {target}** {status.message}"
     if target == replay.failed and replay.obstruction is not None:
@@ -31,13 +33,24 @@ def target_facts(replay: Replay, target: int) -> str:
         return f"{what}.\n\nThe arm is shown there{there}: {escaped(replay.obstruction.description)}."
     if not status.tracked:
         return f"{what}.\n\nThe arm is shown at the last tracked target."
-    clearance, error = 1e3 * replay.clearance[target], 1e3 * replay.residual[target]
-    body = robots.capsule_label(replay.robot, replay.witness.body[target])
-    here = f"Clearance at the target **{clearance:.4g} mm** ({escaped(body)}). "
-    here += f"TCP error {error:.2f} mm"
+    here = f"Clearance at the target **{1e3 * replay.clearance[target]:.4g} mm** ({_nearest(replay, target)}). "
+    here += f"TCP error {1e3 * replay.residual[target]:.2f} mm"
     if not np.isnan(angle := replay.orientation_error[target]):
         here += f", orientation error {np.rad2deg(angle):.3g} deg"
     return f"{what}.\n\n{here}.\n\n{_segment_text(replay, target)}"
+
+
+def _file_facts(replay: Replay, file: ShownFile, target: int) -> str:
+    """Return a description of a configuration of a file, and of the segment to it, in Markdown."""
+    clearance, body = 1e3 * replay.clearance[target], _nearest(replay, target)
+    here = f"clearance **{clearance:.4g} mm**" if clearance > 0 else f"in collision, **{-clearance:.4g} mm** deep"
+    place = file.places[target].capitalize()
+    return f"**{escaped(place)}**: {here} ({body}).\n\n{escaped(file.segments[target])}"
+
+
+def _nearest(replay: Replay, target: int) -> str:
+    """Return the label of the body that is nearest to an obstacle at a target, for Markdown."""
+    return escaped(robots.capsule_label(replay.robot, replay.witness.body[target]))
 
 
 def _segment_text(replay: Replay, target: int) -> str:

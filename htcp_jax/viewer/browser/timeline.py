@@ -34,6 +34,8 @@ class ByTarget:
 
     def __init__(self, replay: Replay, note: str = ""):
         self._note, row = note, poses_along(replay)
+        if replay.file is not None:
+            self.name, self.rate_name = "Configuration", "Per second"
         self.end = row[-1].target
         row += [pose_at(replay, target) for target in range(row[-1].target + 1, len(replay.target))]
         targets = np.array([pose.target for pose in row])
