@@ -210,6 +210,12 @@ class Plan:
             facts["first segment"] = f"{turn:.2f} rad in the joints, from {begin} to the first configuration"
         return facts
 
+    @property
+    def _seam_names(self) -> list[str]:
+        """Name of the seam of each target, for a job with several seams."""
+        number = np.searchsorted(self.plans.seam_begins, np.arange(self.plans.status.shape[1]), "right")
+        return [self.job.workpiece.seams[seam].name for seam in number.tolist()]
+
     @cached_property
     def obstruction(self) -> Obstruction | None:
         """The body with the smallest clearance at the failed target, and its obstacle.
@@ -350,8 +356,11 @@ class Plan:
             folder: The folder; it must exist.
             retract: True appends the motion back to home or the start in motion.csv.
         """
-        plan_folder.write_motion_csv(folder / "motion.csv", self.robot, self.motion(retract=retract))
-        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, self.plans, self.manipulability)
+        seams = None if self.order is None else self._seam_names
+        moved = self.motion(retract=retract)
+        plan_folder.write_motion_csv(folder / "motion.csv", self.robot, moved, seams)
+        known = self.plans, self.manipulability
+        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, *known, seams=seams)
         plan_folder.write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
         output_files.write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png", pil_kwargs={"compress_level": 1})  # in a fifth of the time

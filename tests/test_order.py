@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError
-from htcp_jax.sequencing import cycle, shortest_order
+from htcp_jax.sequencing import shortest_order
 
 pytest.importorskip("ortools", reason="the extra `order` is not installed")
 
@@ -100,9 +100,6 @@ def test_an_order_is_never_longer_than_its_hint():
 
 
 def test_a_cycle_of_precedence_is_named():
-    assert cycle([(0, 1), (1, 2), (3, 1), (2, 4), (4, 1)], 5) == [1, 2, 4]
-    assert cycle([(2, 2)], 3) == [2]
-    assert cycle([(0, 1), (0, 2), (1, 2)], 3) == []
     with pytest.raises(InputError, match=r"^the groups 0, 1 are before each other: an order without cycles is needed$"):
         shortest_order(*job(0, groups=3)[:5], [(0, 1), (1, 0)], seed=0, effort=0.1)
 

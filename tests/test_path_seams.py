@@ -7,6 +7,7 @@ import pytest
 from made_once import load_cloud
 
 from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts import NoCloud, load_workpiece
 from htcp_jax.io.parts.path_file import read_path_points
 
 LEFT = [f"{0.1 + 0.01 * k:.2f},0.0,0.3" for k in range(6)]
@@ -18,6 +19,12 @@ def write(folder, text):
     file = folder / "seams.csv"
     file.write_bytes(text.encode())
     return file
+
+
+def seams_in(file) -> list[tuple]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Note)
+        return [tuple(seam) for seam in read_path_points(file).seams]
 
 
 def read(file):
@@ -35,10 +42,15 @@ def refusal(file) -> str:
 
 
 @pytest.mark.parametrize("between", ["\n", "\r\n \t\n", ",,\n", "\n# the other side\n", "# the other side\n\n\n"])
-def test_a_blank_line_between_rows_means_two_seams_and_is_refused_with_the_remedy(tmp_path, between):
-    words = refusal(write(tmp_path, "\n".join(["x,y,z", *LEFT, ""]) + between + "\n".join([*RIGHT, ""])))
-    assert words.startswith("2 seams (rows 1 to 6, rows 7 to 12), separated by a blank line; plan one at a time: write")
-    assert "home_rad" in words
+def test_a_blank_line_between_rows_means_two_seams(tmp_path, between):
+    file = write(tmp_path, "\n".join(["x,y,z", *LEFT, ""]) + between + "\n".join([*RIGHT, ""]))
+    assert seams_in(file) == [("1", 0, 6), ("2", 6, 6)]
+
+
+def test_a_part_from_a_file_of_two_seams_is_refused_where_a_path_is_one_seam(tmp_path):
+    file = write(tmp_path, "\n".join(["x,y,z", *LEFT, "", *RIGHT, ""]))
+    with pytest.raises(InputError, match=r"seams.csv: 2 seams \(rows 1 to 6, rows 7 to 12\); here a path is one seam"):
+        load_workpiece(NoCloud(), file)
 
 
 def test_blank_lines_in_a_cloud_do_not_matter(tmp_path):
@@ -55,16 +67,22 @@ def test_leading_trailing_and_doubled_line_ends_do_not_matter(tmp_path, ending, 
 
 def test_two_seams_are_found_between_doubled_line_ends(tmp_path):
     text = "\r\r\n".join(["x,y,z", *LEFT, "", *RIGHT, ""])
-    assert "2 seams (rows 1 to 6, rows 7 to 12), separated by a blank line" in refusal(write(tmp_path, text))
+    assert seams_in(write(tmp_path, text)) == [("1", 0, 6), ("2", 6, 6)]
 
 
-@pytest.mark.parametrize("name", ["seam", "Seam ID", "path", "segment_no", "pass", "type", "id", "weld number",
-                                  "SeamID", "weld line", "WeldLine", "Arc On", "seamid",
-                                  "Naht", "Naht-Nr", "traj_id", "laser", "weldNo"])  # fmt: skip
-def test_a_column_that_divides_the_rows_means_several_seams(tmp_path, name):
+@pytest.mark.parametrize("name", ["seam", "Seam ID", "SeamID", "seamid", "seam no"])
+def test_a_column_seam_that_divides_the_rows_means_several_seams(tmp_path, name):
+    rows = [f"{row},{word}" for rows, word in ((LEFT, "A"), (RIGHT, '"B"'), (LEFT, "2.0")) for row in rows]
+    file = write(tmp_path, "\n".join([f"x,y,z,{name}", *rows, ""]))
+    assert seams_in(file) == [("A", 0, 6), ("B", 6, 6), ("2", 12, 6)]
+
+
+@pytest.mark.parametrize("name", ["path", "segment_no", "pass", "type", "id", "weld number", "weld line", "WeldLine",
+                                  "Arc On", "Naht", "Naht-Nr", "traj_id", "laser", "weldNo"])  # fmt: skip
+def test_another_column_that_divides_the_rows_is_refused_with_the_remedy(tmp_path, name):
     rows = [f"{row},{word}" for rows, word in ((LEFT, "A"), (RIGHT, '"B"'), (LEFT, "A")) for row in rows]
     words = refusal(write(tmp_path, "\n".join([f"x,y,z,{name}", *rows, ""])))
-    assert words.startswith(f"3 seams (rows 1 to 6, rows 7 to 12, rows 13 to 18), by column {name}; plan one at a time")
+    assert words.startswith(f"3 seams (rows 1 to 6, rows 7 to 12, rows 13 to 18), by column {name}; if these are seams")
 
 
 @pytest.mark.parametrize("name, values", [("seam", ["7"] * 6), ("id", "123456"), ("type", ["1", "1.0", '"1"'] * 2),

@@ -26,7 +26,7 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
-from htcp_jax.jobs.seam_paths import is_file, points_of_seams
+from htcp_jax.jobs.seam_paths import check_one_seam, is_file, points_of_seams
 from htcp_jax.model import (
     InletDirection,
     Robot,
@@ -81,6 +81,7 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
         source: Name of the job, for messages.
     """
     job, robot = with_robot(job, source)
+    check_one_seam(job.workpiece, "this command")
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,7 +74,12 @@ def read_plan(folder: Path) -> PlanRecord:
 
 
 def write_trajectory_csv(
-    file: Path, robot: Robot, plans: Plans, manipulability: Float[np.ndarray, "T"], row: int = 0
+    file: Path,
+    robot: Robot,
+    plans: Plans,
+    manipulability: Float[np.ndarray, "T"],
+    row: int = 0,
+    seams: Sequence[str] | None = None,
 ) -> None:
     """Write a plan as a CSV file with one line per target.
 
@@ -86,6 +91,7 @@ def write_trajectory_csv(
         plans: The plans.
         manipulability: Manipulability at each target [m/rad]; NaN if unknown.
         row: Row of the scenario in `plans`.
+        seams: Name of each target's seam; None: no such column.
 
     Raises:
         InputError: If the file cannot be written.
@@ -109,10 +115,11 @@ def write_trajectory_csv(
         "segment_clearance_m": plans.segment_clearance[row],
         "manipulability_m_rad": manipulability,
     }
+    columns |= {} if seams is None else {"seam": seams}
     _write_csv(file, columns)
 
 
-def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
+def write_motion_csv(file: Path, robot: Robot, motion: Motion, seams: Sequence[str] | None = None) -> None:
     """Write a motion as a CSV file with one line per configuration: target, `status.Kind` and joint values.
 
     If no target is executable, the file has only a header. Numbers have all digits, so that they are read back exactly.
@@ -121,12 +128,14 @@ def write_motion_csv(file: Path, robot: Robot, motion: Motion) -> None:
         file: The file.
         robot: The arm, for the names and units of its joints.
         motion: The motion, see `motion.motion`.
+        seams: Name of each target's seam, for a column after the kind; None: no such column.
 
     Raises:
         InputError: If the file cannot be written.
     """
     kinds = [Kind(kind).name for kind in motion.kind.tolist()]
-    _write_csv(file, {"target": motion.target, "kind": kinds, **_configurations(robot, motion.x)})
+    named = {} if seams is None else {"seam": [seams[target] for target in motion.target.tolist()]}
+    _write_csv(file, {"target": motion.target, "kind": kinds, **named, **_configurations(robot, motion.x)})
 
 
 def _configurations(robot: Robot, x: Float[np.ndarray, "n N"]) -> dict[str, np.ndarray]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from htcp_jax.motion import Plans, plans
 from htcp_jax.sequencing import SeamSequence
 from htcp_jax.spec import SeamConfig
+from htcp_jax.status import NOT_TRIED
 
 
 class SeamVisit(NamedTuple):
@@ -69,4 +70,5 @@ def _reason(end: plans.Outcome) -> str:
     """Return the reason why a seam has no motion."""
     if end.status is None:
         return f"target {end.executable} of {end.targets}: {end.segment_status.message}"
-    return f"target {end.failed} of {end.targets}: {end.status.message}"
+    at = "" if end.status in NOT_TRIED else f"target {end.failed} of {end.targets}: "
+    return f"{at}{end.status.message}"
