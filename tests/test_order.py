@@ -115,3 +115,12 @@ def test_a_missing_solver_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ortools.sat.python", None)
     with pytest.raises(InputError, match=r"^an order of seams needs OR-Tools: pip install 'htcp_jax\[order\]'$"):
         shortest_order(*job(0, groups=3), seed=0, effort=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_search_for_long_tours_finds_the_shortest_order_of_few_groups(seed, monkeypatch):
+    monkeypatch.setattr("htcp_jax.sequencing.order.FEW", 0)
+    case = job(seed, groups=6)
+    found = shortest_order(*case, seed=seed, effort=0.1)
+    _, least = shortest_by_trial(*case)
+    np.testing.assert_allclose([found.cost, cost_of(found, *case)], least, rtol=1e-9)

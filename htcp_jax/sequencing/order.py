@@ -13,12 +13,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.sequencing.long_tour import search_long
 from htcp_jax.sequencing.tour_bound import tour_bound
 from htcp_jax.sequencing.tour_search import group_costs, nodes_of, search, without_far
 
 TOTAL = 2**40  # cost of the tour that is known, as an integer: costs of moves are rounded to 1e-12 of it
 ROUNDS = 12  # linear programs of the bound, for each unit of effort
 MOVES = 30_000  # moves in CP-SAT's model at most: beyond these it only shortens the tour, and bounds nothing
+FEW = 80  # groups: beyond these, the search keeps the nodes of groups that it does not move
 SHARES = 0.5, 0.4  # of the effort, for the search and for CP-SAT
 
 
@@ -148,7 +150,8 @@ def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: flo
     count, home = len(before), len(group)
     costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
     hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
-    order, length = search(costs, np.random.default_rng(seed), SHARES[0] * effort, hint)
+    find = search if count <= FEW else search_long
+    order, length = find(costs, np.random.default_rng(seed), SHARES[0] * effort, hint)
     if length >= costs.far:
         order = without_far(costs, order)
         tour = nodes_of(costs, order) if len(order) else []

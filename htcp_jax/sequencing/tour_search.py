@@ -64,7 +64,7 @@ def group_costs(
     return GroupCosts(node, *padded, np.where(missing, far, moves), before, far)
 
 
-def steps_of(effort: float, costs: GroupCosts, removed: int) -> int:
+def steps_of(effort: float, costs: GroupCosts, removed: float) -> int:
     """Return the number of steps whose work is an effort [s], at least one for each epoch."""
     m, k = costs.node.shape
     insertion = 2 * m * STEP_WORK_S + 4 * CHAINS * m * k * k * NUMBER_WORK_S
@@ -90,7 +90,7 @@ def search(
     best, shortest = orders.copy(), lengths.copy()
     removed = max(1, min(10, m // 3))
     steps = steps_of(effort, costs, (1 + removed) // 2)
-    near = _ranks(costs)
+    near = ranks(costs)
     chains = np.arange(CHAINS)
     for step in range(steps if m > 2 else 0):
         scale = float(np.median(shortest)) / (m + 1)
@@ -126,13 +126,18 @@ def lengths_of(costs: GroupCosts, orders: Int[np.ndarray, "B m"]) -> Float[np.nd
 
 def nodes_of(costs: GroupCosts, order: Int[np.ndarray, "m"]) -> list[int]:
     """Return the best node of each group in an order, in order of travel."""
-    ahead = _suffixes(costs, order[None])[:, 0]
-    slot = int(np.argmin(costs.begin[order[0]] + ahead[0]))
-    slots = [slot]
-    for place in range(1, len(order)):
-        slot = int(np.argmin(costs.move[order[place - 1], order[place], slot] + ahead[place]))
-        slots.append(slot)
-    return [int(node) for node in costs.node[order, slots]]
+    return [int(node) for node in costs.node[order, best_slots(costs, order[None])[0]]]
+
+
+def best_slots(costs: GroupCosts, orders: Int[np.ndarray, "B m"]) -> Int[np.ndarray, "B m"]:
+    """Return the column in `costs.node` of the best node of each group in each order."""
+    ahead = _suffixes(costs, orders)
+    slots = np.empty(orders.shape, int)
+    slots[:, 0] = np.argmin(costs.begin[orders[:, 0]] + ahead[0], axis=1)
+    for place in range(1, orders.shape[1]):
+        step = costs.move[orders[:, place - 1], orders[:, place], slots[:, place - 1]]
+        slots[:, place] = np.argmin(step + ahead[place], axis=1)
+    return slots
 
 
 def without_far(costs: GroupCosts, order: Int[np.ndarray, "m"]) -> Int[np.ndarray, "k"]:
@@ -199,8 +204,8 @@ def _suffixes(costs: GroupCosts, orders: Int[np.ndarray, "B L"]) -> Float[np.nda
     return made
 
 
-def _ranks(costs: GroupCosts) -> Int[np.ndarray, "m m"]:
-    """Rank of each group by its cheapest move from or to a group: 0 is the group itself."""
+def ranks(costs: GroupCosts) -> Int[np.ndarray, "m m"]:
+    """Return the rank of each group by its cheapest move from or to a group: 0 is the group itself."""
     least = costs.move.min(axis=(2, 3))
     least = np.minimum(least, least.T)
     np.fill_diagonal(least, -1.0)
