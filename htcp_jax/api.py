@@ -479,6 +479,7 @@ def _plan_seams(
     device: str | None,
 ) -> Plan:
     """Plan a resolved job with several seams, see `sequencing`."""
+    sequencing.check_solver()
     found = jobs.seam_scenarios.seam_scenarios(job, robot)
     all_obstacles, names = jobs.build.obstacles_of(job.cell, robot), [seam.name for seam in job.workpiece.seams]
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)

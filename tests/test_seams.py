@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import toy
 import yaml
+from test_json_schemas import fits
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -78,6 +79,11 @@ def test_the_order_keeps_precedence_and_direction(complete):
     path = np.array([[float(row[f"target_{axis}_m"]) for axis in "xyz"] for row in rows_of(complete, "trajectory.csv")])
     right = toy.workpiece().path[5:10]
     np.testing.assert_allclose(np.diff(path[1:6], axis=0), np.diff(right[::-1], axis=0), atol=1e-9)
+
+
+def test_the_summary_fits_its_schema(planned, complete):
+    fits("plan", summary(planned))
+    fits("plan", summary(complete))
 
 
 def test_the_motion_begins_and_ends_at_home_and_names_seam_and_kind(complete):

@@ -145,7 +145,8 @@ def _from_row(seam: SeamConfig, xyz: np.ndarray, rows: np.ndarray) -> np.ndarray
     """Return the rows of a closed seam from row `begins_at` around to the same row."""
     if np.linalg.norm(xyz[-1] - xyz[0]) < ONE_POINT_M and len(rows) > 1:
         rows = rows[:-1]
-    if seam.begins_at >= len(rows):
-        raise InputError(f"seam {seam.name!r}: begins_at is {seam.begins_at}, but it has {len(rows)} rows")
-    turned = np.roll(rows, -seam.begins_at)
+    first = seam.begins_at or 0
+    if first >= len(rows):
+        raise InputError(f"seam {seam.name!r}: begins_at is {first}, but it has {len(rows)} rows")
+    turned = np.roll(rows, -first)
     return np.append(turned, turned[0])

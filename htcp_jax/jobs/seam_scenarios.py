@@ -75,9 +75,9 @@ def in_order(
     return job, workpiece, build.scenario_of(job, robot, workpiece, beyond_reach="record")
 
 
-def _begins(seam: SeamConfig) -> list[int]:
+def _begins(seam: SeamConfig) -> Sequence[int | None]:
     """Return the rows at which a seam may begin: of a closed one, if it has no `begins_at`, BEGINS in equal steps."""
-    if not seam.closed or seam.begins_at or seam.rows is None:
+    if not seam.closed or seam.begins_at is not None or seam.rows is None:
         return [seam.begins_at]
     count = seam.rows[1] - 1
     return sorted({k * count // BEGINS for k in range(BEGINS)})

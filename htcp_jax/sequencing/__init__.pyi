@@ -1,4 +1,4 @@
-from .order import Order, shortest_order
+from .order import Order, check_solver, shortest_order
 from .seam_plans import SeamPlans, Variants, not_joined, plan_seams
 from .sequence import SeamSequence, find_sequence, whole_plans
 
@@ -7,6 +7,7 @@ __all__ = [
     "SeamPlans",
     "SeamSequence",
     "Variants",
+    "check_solver",
     "find_sequence",
     "not_joined",
     "plan_seams",

@@ -115,6 +115,11 @@ class _Problem(NamedTuple):
         return float(self.cost[[home, *tour], [*tour, home]].sum()) if tour else 0.0
 
 
+def check_solver() -> None:
+    """Raise InputError if OR-Tools is not installed."""
+    _cp_model()
+
+
 def _cp_model():
     try:
         from ortools.sat.python import cp_model

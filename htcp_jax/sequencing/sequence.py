@@ -1,9 +1,10 @@
 """Order of a part's seams, and the proven motion through all of them.
 
 The order is a generalised travelling-salesman problem: each seam is done once, by one of its plans, in one direction.
-The cost of an air move that is not proven yet is a lower bound, the time of the straight joint path. The shortest order
-is found, its air moves are proven, those that take longer get their true cost, and the order is found again, until all
-air moves in it are proven. Its cost is then that of the motion, and the bound holds for all orders of these plans.
+The time of an air move that is not proven yet is estimated: that of the straight joint path, a lower bound, times the
+usual ratio of a proven air move's time to it. The shortest order is found, its air moves are proven and get their true
+times, and the order is found again, until all air moves in it are proven. Last, a lower bound for all orders of these
+plans is found with the lower bounds of the air moves that are not proven.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,10 +18,9 @@ from htcp_jax.planning import Progress
 from htcp_jax.sequencing.air_moves import AirMove, AirMoves
 from htcp_jax.sequencing.order import Order, shortest_order
 from htcp_jax.sequencing.seam_plans import SeamPlan, in_order
-from htcp_jax.settings import Settings
 
-ROUNDS = 30  # maximum number of orders that are found and proven
-ORDER_EFFORT = 5.0  # work for each order, about the seconds on one core [s]
+ROUNDS = 12  # maximum number of orders that are found and proven
+ORDER_EFFORT, BOUND_EFFORT = 2.0, 10.0  # work for each order, and for the bound: about the seconds on one core [s]
 
 
 class SeamSequence(NamedTuple):
@@ -61,22 +61,27 @@ def find_sequence(
     nodes, report = _nodes(seams, plans, speed), _Report(progress)
     moves = AirMoves(problem, nodes.configurations, home, speed, report.add)
     cost = _least_times(moves)
-    best, bound_s, hint, rounds = (np.inf, list[int]()), 0.0, None, 0
+    is_known, least, ratio = np.zeros(cost.shape, bool), cost.copy(), 1.0
+    best, hint, rounds, seed = (np.inf, list[int]()), None, 0, problem.settings.seed
     for rounds in range(1, ROUNDS + 1):
-        order = _order(nodes, cost, moves.home, before, problem.settings, hint)
-        pairs = _pairs(nodes, order.nodes, moves.home)
-        bound_s, hint = max(bound_s, order.bound), order.nodes
+        estimate = np.where(is_known, cost, ratio * cost)
+        order = _order(nodes, estimate, moves.home, before, seed, ORDER_EFFORT, hint)
+        pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
         report.begin(rounds, len(new))
         moves.find(new)
         for a, b in new:
             move = moves.between(a, b)
             cost[a, b] = cost[b, a] = np.inf if move is None else move.time_s
+            is_known[a, b] = is_known[b, a] = True
+        finite = is_known & np.isfinite(cost) & (least > 0)
+        ratio = float(np.median(cost[finite] / least[finite])) if finite.any() else 1.0
         time_s = float(nodes.own_s[order.nodes].sum() + sum(cost[pair] for pair in pairs))
         best = min(best, (time_s, order.nodes), key=lambda each: each[0])
         if not new:
             break
     time_s, chosen = best
+    bound_s = _order(nodes, cost, moves.home, before, seed, BOUND_EFFORT, chosen).bound
     legs = [moves.between(*pair) for pair in _pairs(nodes, chosen, moves.home)]
     has_home = moves.home is not None
     return SeamSequence(
@@ -154,14 +159,21 @@ def _least_times(moves: AirMoves) -> Float[np.ndarray, "n n"]:
     return np.stack([moves.least_time_s(row, rows) for row in rows])
 
 
-def _order(nodes: _Nodes, cost: np.ndarray, home: int | None, before, settings: Settings, hint) -> Order:
-    """Return the shortest order for known costs of air moves."""
+def _order(
+    nodes: _Nodes,
+    cost: Float[np.ndarray, "n n"],
+    home: int | None,
+    before: Sequence[tuple[int, int]],
+    seed: int,
+    effort: float,
+    hint: list[int] | None,
+) -> Order:
+    """Return the shortest order for some times of air moves between configurations [s]."""
     free = np.zeros(len(nodes.seam))
     begin, end = (free, free) if home is None else (cost[home, nodes.begin], cost[nodes.end, home])
     between = cost[nodes.end[:, None], nodes.begin[None]]
-    return shortest_order(
-        nodes.seam, nodes.own_s, between, begin, end, before, seed=settings.seed, effort=ORDER_EFFORT, hint=hint
-    )
+    costs = nodes.own_s, between, begin, end
+    return shortest_order(nodes.seam, *costs, before, seed=seed, effort=effort, hint=hint)
 
 
 def _pairs(nodes: _Nodes, order: Sequence[int], home: int | None) -> list[tuple[int, int]]:

@@ -29,7 +29,7 @@ class SeamConfig(strict_model.FileSection):
     rows: tuple[Row, Row] | None = None  # first row of the path, counted from 0, and number of rows; None: all
     direction: Direction = "either"  # direction of travel; backward: from the last row to the first
     closed: bool = False  # True: a closed curve, which may begin at any of its rows
-    begins_at: Row = 0  # row of a closed seam, counted from 0, at which the motion begins and ends
+    begins_at: Row | None = None  # row of a closed seam, counted from 0, at which it begins and ends; None: any
     points: bool = False  # True: each row is a seam of one target, such as a hole or a spot
     after: tuple[SeamName, ...] = ()  # seams that must be done before this one
 
@@ -38,7 +38,7 @@ class SeamConfig(strict_model.FileSection):
         if self.points and (self.closed or self.direction != "either"):
             key = "closed" if self.closed else "direction"
             raise InputError(f"seam {self.name!r} has points: true; its key {key} would have no effect, omit it")
-        if self.begins_at and not self.closed:
+        if self.begins_at is not None and not self.closed:
             raise InputError(f"seam {self.name!r}: begins_at is for a seam with closed: true")
         return self
 
