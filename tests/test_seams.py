@@ -187,4 +187,4 @@ def test_a_sweep_over_a_job_with_several_seams_is_refused_in_one_line(tmp_path, 
     write_job(tmp_path, LEFT, RIGHT)
     (tmp_path / "grid.yaml").write_text(yaml.safe_dump({"config": "job.yaml", "grid": [{"margin_m": [0.001, 0.002]}]}))
     assert main(["sweep", str(tmp_path / "grid.yaml"), "--out", str(tmp_path / "run")]) == 2
-    assert "a sweep plans one seam, but the job has 2: left, right" in capsys.readouterr().err
+    assert "this command plans one seam, but the job has 2: left, right" in capsys.readouterr().err

@@ -195,7 +195,7 @@ class _Builder:
         arm, part, surroundings = robot_key(job), workpiece_key(job), obstacles_key(job.cell)
         robot = _like(self._robot, self._robots(*arm), f"{self._name}: scenario {point.number}")
         if part not in self._one_seam:
-            check_one_seam(part, "a sweep")
+            check_one_seam(part)
             self._one_seam.add(part)
         workpiece = self._workpieces(part, *arm)
         with _naming(point):

@@ -81,7 +81,7 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
         source: Name of the job, for messages.
     """
     job, robot = with_robot(job, source)
-    check_one_seam(job.workpiece, "this command")
+    check_one_seam(job.workpiece)
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 

@@ -55,12 +55,11 @@ def with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     return part.model_copy(update={"seams": tuple(seams)})
 
 
-def check_one_seam(part: WorkpieceConfig, what: str) -> None:
+def check_one_seam(part: WorkpieceConfig) -> None:
     """Check that a part has one seam.
 
     Args:
         part: The section `workpiece`.
-        what: What plans one seam only, for the message.
 
     Raises:
         InputError: If it has several.
@@ -68,7 +67,9 @@ def check_one_seam(part: WorkpieceConfig, what: str) -> None:
     names = [seam.name for seam in with_seams_of_files(part).seams]
     if len(names) > 1:
         few = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        raise InputError(f"{what} plans one seam, but the job has {len(names)}: {few}; htcp plan does all of them")
+        raise InputError(
+            f"this command plans one seam, but the job has {len(names)}: {few}; htcp plan does all of them"
+        )
 
 
 def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
