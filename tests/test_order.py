@@ -8,6 +8,7 @@ import pytest
 
 from htcp_jax.errors import InputError
 from htcp_jax.sequencing import cycle, shortest_order
+from htcp_jax.sequencing.tour_states import closed_gap
 
 pytest.importorskip("ortools", reason="the extra `order` is not installed")
 
@@ -127,3 +128,29 @@ def test_the_search_for_long_tours_finds_the_shortest_order_of_few_groups(seed, 
     found = shortest_order(*case, seed=seed, effort=0.1)
     _, least = shortest_by_trial(*case)
     np.testing.assert_allclose([found.cost, cost_of(found, *case)], least, rtol=1e-9)
+
+
+@pytest.mark.parametrize("most", [0, 1, 3, 1000])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_gap_that_is_closed_in_part_contains_no_shorter_tour(seed, most):
+    group, own, move, begin, end, before = job(seed, groups=6)
+    home = len(group)
+    cost = np.full((home + 1, home + 1), np.inf)
+    cost[:home, :home], cost[home, :home], cost[:home, home] = move + own, begin + own, end
+    cost[:home, :home][group[:, None] == group] = np.inf
+    after = np.zeros((6, 6), bool)
+    after[tuple(np.array(before, int).reshape(-1, 2).T)] = True
+    for _ in range(6):
+        after |= (after.astype(int) @ after.astype(int)) > 0
+    _, least = shortest_by_trial(group, own, move, begin, end, before)
+    tour, closed = closed_gap(group, cost, cost, after, least + 0.1, most)
+    assert closed <= least + 0.1 and (not tour or least <= cost[[home, *tour], [*tour, home]].sum() + 1e-9)
+    found = cost[[home, *tour], [*tour, home]].sum() if tour else np.inf
+    assert min(found, closed) <= least + 1e-9
+    if most == 1000:
+        np.testing.assert_allclose(found, least)
+
+
+def test_an_order_of_fourteen_seams_is_proven_to_be_the_shortest():
+    found = shortest_order(*job(2, groups=14, pairs=0.0), seed=0, effort=2.0)
+    assert found.bound >= found.cost * (1 - 1e-9)
