@@ -21,7 +21,8 @@ from htcp_jax.sequencing.tour_states import MOST_GROUPS, closed_gap
 
 TOTAL = 2**40  # cost of the tour that is known, as an integer: costs of moves are rounded to 1e-12 of it
 ROUNDS, FEW_NODES = 12, 320  # linear programs of the bound for each unit of effort, with at most so many nodes
-MOVES = 20_000  # CP-SAT's model has more moves than this only if groups are skipped: beyond, it found nothing
+MOVES = 20_000  # in CP-SAT's model at most: with more it closed none of the gaps that were measured
+MOVES_SKIPPING = 150_000  # the same, if it decides which groups are skipped
 FEW = 80  # groups: beyond these, the search keeps the nodes of groups that it does not move
 SHARES = 0.4, 0.2, 0.4  # of the effort: for the search, for CP-SAT, and for states between tour and bound
 STATE_WORK_S = 4e-6  # work of a state [s]
@@ -52,8 +53,8 @@ def shortest_order(
 ) -> Order:
     """Return a short tour that visits one node of each group, with a lower bound on the cost of all tours.
 
-    If no tour visits all groups, as few groups as possible are skipped. Precedence holds between the groups that are
-    visited. The result repeats for equal arguments: the work is limited, not the time.
+    If no tour that visits all groups is found, some are skipped, as few as possible. Precedence holds between visited
+    groups, also through one that is skipped. The result repeats for equal arguments: the work is limited, not the time.
 
     Args:
         group: Group of each node, (n,); a group is any integer.
@@ -67,7 +68,7 @@ def shortest_order(
         hint: Nodes of a tour that is known, in order of travel.
 
     Returns:
-        The tour. The bound is 0 if nothing better was proven.
+        The tour. The bound is 0 if nothing better was proven; if it is more, no tour visits more groups.
 
     Raises:
         InputError: OR-Tools is not installed, costs are negative or NaN, or `before` has a cycle.
@@ -183,9 +184,7 @@ def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: flo
     share = SHARES[0] if count <= MOST_GROUPS else 1.0
     order, length = find(costs, np.random.default_rng(seed), share * effort, hint)
     if length >= costs.far:
-        order = without_far(costs, order)
-        tour = nodes_of(costs, order) if len(order) else []
-        return _by_cp_sat(cp_model, problem, np.isfinite(cost), tour, 0.0, True, seed, SHARES[1] * effort)
+        return _skipping(cp_model, problem, without_far(costs, order), seed, effort / 2)
     tour = nodes_of(costs, order)
     length = problem.cost_of(tour)
     cost = np.where(_excluded(group, before), np.inf, cost)
@@ -205,6 +204,25 @@ def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: flo
         return tour, bound
     found, proven = _by_cp_sat(cp_model, problem, moves, tour, bound, False, seed, SHARES[1] * effort)
     return found, min(max(bound, proven), problem.cost_of(found))
+
+
+def _skipping(
+    cp_model, problem: _Problem, order: Int[np.ndarray, "k"], seed: int, effort: float
+) -> tuple[list[int], float]:
+    """Best tour of the groups in an order that is possible, or of more or other groups by CP-SAT, and its bound [s]."""
+    group, cost, before = problem
+    tour: list[int] = []
+    if len(order):
+        kept = np.flatnonzero(np.isin(group, order))
+        groups, inner = np.unique(group[kept], return_inverse=True)
+        rows = np.append(kept, len(group))
+        fewer = _Problem(inner, cost[np.ix_(rows, rows)], before[np.ix_(groups, groups)])
+        first = [int(np.flatnonzero(inner == np.flatnonzero(groups == each)[0])[0]) for each in order]
+        tour = [int(kept[node]) for node in _solve(cp_model, fewer, first, seed, effort)[0]]
+    moves = np.isfinite(cost)
+    if moves.sum() > MOVES_SKIPPING:
+        return tour, 0.0
+    return _by_cp_sat(cp_model, problem, moves, tour, 0.0, True, seed, effort)
 
 
 def _respects(order: Int[np.ndarray, "k"], before: Bool[np.ndarray, "m m"]) -> bool:
