@@ -1,7 +1,7 @@
 """Order of seams: cost, gap to the proven bound and time, on generated jobs whose seed is fixed.
 
     python -m benchmarks order                    40 seams with precedence, ten seeds; 300 points, one seed
-    python -m benchmarks order --tenfold          the same, and ten seeds with ten times the effort: takes an hour
+    python -m benchmarks order --tenfold 10       the same, and ten seeds with ten times the effort: takes an hour
     python -m benchmarks order --only points --groups 500 --effort 60
 
 A job has seams in a box. A seam has nodes: branches of the arm, and both directions; a point has branches alone. A
@@ -75,8 +75,8 @@ def main() -> None:
     parser.add_argument("--groups", type=int, help="default: 40 seams, 300 points")
     parser.add_argument("--nodes", type=int, default=8)
     parser.add_argument("--seeds", type=int, default=10, help="of seams; points have one")
-    parser.add_argument("--effort", type=float, default=20.0)
-    parser.add_argument("--tenfold", action="store_true")
+    parser.add_argument("--effort", type=float, default=10.0)
+    parser.add_argument("--tenfold", type=int, default=0, help="seeds with ten times the effort")
     options = parser.parse_args()
     print(hardware.line(), hardware.version("ortools"), sep=", ")
     for kind in ("seams", "points"):
@@ -85,20 +85,21 @@ def main() -> None:
         groups = options.groups or (40 if kind == "seams" else 300)
         case = job(groups, options.nodes, kind == "points", groups // 2 if kind == "seams" else 0, seed=groups)
         seeds = options.seeds if kind == "seams" else 1
+        runs = [(options.effort, seed) for seed in range(seeds)]
+        runs += [(10 * options.effort, seed) for seed in range(options.tenfold if kind == "seams" else 0)]
         found = []
-        for effort in (options.effort, 10 * options.effort)[: 1 + (options.tenfold and kind == "seams")]:
-            for seed in range(seeds):
-                order, taken_s, used_s = solve(case, seed, effort)
-                air_s = order.cost - float(case.own_cost[order.nodes].sum())
-                found.append((effort, order, air_s))
-                gap = 100 * (1 - order.bound / order.cost)
-                air_gap = 100 * (order.cost - order.bound) / air_s
-                print(
-                    f"{groups} {kind}, effort {effort:g}, seed {seed}: {order.cost:.3f} s, air moves {air_s:.3f} s, "
-                    f"gap {gap:.2f} % ({air_gap:.2f} % of the air moves), {taken_s:.1f} s of wall time, "
-                    f"{used_s:.1f} s of processor time",
-                    flush=True,
-                )
+        for effort, seed in runs:
+            order, taken_s, used_s = solve(case, seed, effort)
+            air_s = order.cost - float(case.own_cost[order.nodes].sum())
+            found.append((effort, order, air_s))
+            gap = 100 * (1 - order.bound / order.cost)
+            air_gap = 100 * (order.cost - order.bound) / air_s
+            print(
+                f"{groups} {kind}, effort {effort:g}, seed {seed}: {order.cost:.3f} s, air moves {air_s:.3f} s, "
+                f"gap {gap:.2f} % ({air_gap:.2f} % of the air moves), {taken_s:.1f} s of wall time, "
+                f"{used_s:.1f} s of processor time",
+                flush=True,
+            )
         best = min(air_s for _, _, air_s in found)
         for effort in sorted({effort for effort, _, _ in found}):
             worst = max(air_s for each, _, air_s in found if each == effort)

@@ -45,7 +45,9 @@ def kingpin(data: Path, folder: Path) -> dict:
         if is_frame or (element.tag == "link" and element.get("name") == "world"):
             arm.remove(element)
     arm.insert(0, Element("link", name="world"))  # it is there twice
-    urdf = data / "kingpin_arm.urdf"  # next to the packages to which its meshes refer
+    for mesh in arm.iter("mesh"):
+        mesh.set("filename", mesh.get("filename", "").replace("package://", f"{data.resolve()}/"))
+    urdf = folder / "arm.urdf"
     urdf.write_text(ElementTree.tostring(arm, encoding="unicode"), encoding="utf-8")
     srdf = data / "setup_1_moveit_config/config/setup_1.srdf"
     words = ["robot", str(urdf), "--tcp", "tool_tip", "--srdf", str(srdf), "--fit-tolerance", "3mm"]
@@ -168,7 +170,7 @@ NOZZLE = {  # TCP of conrob_pybullet in the frame tool0; the bodies are our own
 }  # fmt: skip
 
 
-def assembly(data: Path, folder: Path, model: str, arm: str) -> dict:
+def assembly(data: Path, folder: Path, model: str, arm: str, number: int = 0) -> dict:
     """Write the job of all bars of a lattice, and one job per bar with the bars before it as obstacles.
 
     A bar is before another one if its layer is lower; within a layer, the order of the jobs per bar is that of the
@@ -180,6 +182,7 @@ def assembly(data: Path, folder: Path, model: str, arm: str) -> dict:
         folder: Folder to write.
         model: Name of a file without its ending.
         arm: File of the arm, with a frame tool0, as `htcp robot` writes it: a KUKA KR 6 R900 in the papers.
+        number: Number of bars of a cell, if it is more than the model has: models with the same number share programs.
     """
     given = json.loads((data / f"{model}.json").read_text(encoding="utf-8"))
     assert given["unit"] == "millimeter"
@@ -214,12 +217,12 @@ def assembly(data: Path, folder: Path, model: str, arm: str) -> dict:
     }
     for printed, bar in enumerate(bars):
         name = f"bar_{bar['element_id']}"
-        _write_bars(folder / f"cell_{name}.xml", nodes, bars, printed, float(plate))
+        _write_bars(folder / f"cell_{name}.xml", nodes, bars, printed, number, float(plate))
         single = {**job, "cell": {"model": f"cell_{name}.xml"}}
         single["workpiece"] = {"cloud": "none", "path": f"{name}.csv"}
         text = yaml.safe_dump(single, sort_keys=False, default_flow_style=None)
         (folder / f"job_{name}.yaml").write_text(text, encoding="utf-8")
-    _write_bars(folder / "cell.xml", nodes, bars, 0, float(plate))
+    _write_bars(folder / "cell.xml", nodes, bars, 0, number, float(plate))
     return _written(folder, {**job, "cell": {"model": "cell.xml"}, "seams": seams})
 
 
@@ -227,7 +230,7 @@ def _vector(point: dict) -> Float[np.ndarray, "3"]:
     return np.array([point[key] for key in "XYZ"], float)
 
 
-def _write_bars(file: Path, nodes: np.ndarray, bars: list[dict], printed: int, plate: float) -> None:
+def _write_bars(file: Path, nodes: np.ndarray, bars: list[dict], printed: int, number: int, plate: float) -> None:
     """Write a cell with the plate below a lattice and its first bars; the others are far below."""
     cell = Element("mujoco")
     world = SubElement(cell, "worldbody")
@@ -235,7 +238,8 @@ def _write_bars(file: Path, nodes: np.ndarray, bars: list[dict], printed: int, p
     half = 0.5 * np.ptp(nodes[:, :2], axis=0).max() + 0.05
     pos, size = f"{centre[0]:.6g} {centre[1]:.6g} {plate - 0.01:.6g}", f"{half:.6g} {half:.6g} 0.01"
     SubElement(world, "geom", name="plate", type="box", pos=pos, size=size)
-    for at, bar in enumerate(bars):
+    for at in range(max(number, len(bars))):
+        bar = bars[min(at, len(bars) - 1)]
         ends = nodes[bar["end_node_ids"]]
         length = float(np.linalg.norm(ends[1] - ends[0]))
         short = GAP_M * (ends[1] - ends[0]) / length if length > 3 * GAP_M else np.zeros(3)
@@ -243,7 +247,8 @@ def _write_bars(file: Path, nodes: np.ndarray, bars: list[dict], printed: int, p
         if at >= printed:
             ends[:, 2] += FAR_M
         line = " ".join(f"{value:.9g}" for value in ends.ravel())
-        SubElement(world, "geom", name=f"bar_{bar['element_id']}", type="cylinder", fromto=line, size=f"{BAR_RADIUS_M}")
+        name = f"bar_{bar['element_id']}" if at < len(bars) else f"none_{at}"
+        SubElement(world, "geom", name=name, type="cylinder", fromto=line, size=f"{BAR_RADIUS_M}")
     ElementTree.indent(cell)
     file.write_text(ElementTree.tostring(cell, encoding="unicode") + "\n", encoding="utf-8")
 
@@ -256,6 +261,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robot", default="ur5", help="coverage: panda or ur5; assembly: file of the arm")
     parser.add_argument("--model", default="simple_frame", help="of assembly")
+    parser.add_argument("--bars", type=int, default=0, help="assembly: number of bars of each cell, at least")
     parser.add_argument("--free-spin", action="store_true", help="coverage: the tool may rotate about its axis")
     given = parser.parse_args()
     if given.problem == "kingpin":
@@ -263,7 +269,7 @@ def main() -> None:
     elif given.problem == "coverage":
         job = coverage(given.data, given.folder, given.robot, given.free_spin)
     else:
-        job = assembly(given.data, given.folder, given.model, str(Path(given.robot).resolve()))
+        job = assembly(given.data, given.folder, given.model, str(Path(given.robot).resolve()), given.bars)
     print(f"{given.folder / 'job.yaml'}: {len(job['seams'])} entries of seams")
 
 

@@ -2,8 +2,9 @@
 
 A node is one way to do a seam: its configurations at begin and end, and its direction. The nodes of a seam are a group.
 A tour begins at home, visits one node of each group and ends at home. Three parts work together: `tour_search` finds a
-short tour, `tour_bound` a lower bound, which excludes moves that no shorter tour contains, and CP-SAT of OR-Tools, a
-circuit with optional nodes, closes the gap between them over the moves that remain, or shortens the tour.
+short tour, `tour_bound` a lower bound with reduced costs, and `tour_states` closes the gap between them, or a part of
+it, by dynamic programming. CP-SAT of OR-Tools, a circuit with optional nodes, continues with the moves that a shorter
+tour can contain. If no tour visits all groups, CP-SAT alone decides which groups are skipped.
 """
 
 from collections.abc import Iterable
@@ -16,12 +17,15 @@ from htcp_jax.errors import InputError
 from htcp_jax.sequencing.long_tour import search_long
 from htcp_jax.sequencing.tour_bound import tour_bound
 from htcp_jax.sequencing.tour_search import group_costs, nodes_of, search, without_far
+from htcp_jax.sequencing.tour_states import MOST_GROUPS, closed_gap
 
 TOTAL = 2**40  # cost of the tour that is known, as an integer: costs of moves are rounded to 1e-12 of it
-ROUNDS = 12  # linear programs of the bound, for each unit of effort
-MOVES = 30_000  # moves in CP-SAT's model at most: beyond these it only shortens the tour, and bounds nothing
+ROUNDS, FEW_NODES = 12, 320  # linear programs of the bound for each unit of effort, with at most so many nodes
+MOVES = 20_000  # in CP-SAT's model at most: with more it closed none of the gaps that were measured
+MOVES_SKIPPING = 150_000  # the same, if it decides which groups are skipped
 FEW = 80  # groups: beyond these, the search keeps the nodes of groups that it does not move
-SHARES = 0.5, 0.4  # of the effort, for the search and for CP-SAT
+SHARES = 0.4, 0.2, 0.4  # of the effort: for the search, for CP-SAT, and for states between tour and bound
+STATE_WORK_S = 4e-6  # work of a state [s]
 
 
 class Order(NamedTuple):
@@ -49,8 +53,8 @@ def shortest_order(
 ) -> Order:
     """Return a short tour that visits one node of each group, with a lower bound on the cost of all tours.
 
-    If no tour visits all groups, as few groups as possible are skipped. Precedence holds between the groups that are
-    visited. The result repeats for equal arguments: the work is limited, not the time.
+    If no tour that visits all groups is found, some are skipped, as few as possible. Precedence holds between visited
+    groups, also through one that is skipped. The result repeats for equal arguments: the work is limited, not the time.
 
     Args:
         group: Group of each node, (n,); a group is any integer.
@@ -64,7 +68,7 @@ def shortest_order(
         hint: Nodes of a tour that is known, in order of travel.
 
     Returns:
-        The tour. The bound is 0 if nothing better was proven.
+        The tour. The bound is 0 if nothing better was proven; if it is more, no tour visits more groups.
 
     Raises:
         InputError: OR-Tools is not installed, costs are negative or NaN, or `before` has a cycle.
@@ -156,26 +160,48 @@ def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: flo
     costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
     hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
     find = search if count <= FEW else search_long
-    order, length = find(costs, np.random.default_rng(seed), SHARES[0] * effort, hint)
+    share = SHARES[0] if count <= MOST_GROUPS else 1.0
+    order, length = find(costs, np.random.default_rng(seed), share * effort, hint)
     if length >= costs.far:
-        order = without_far(costs, order)
-        tour = nodes_of(costs, order) if len(order) else []
-        return _by_cp_sat(cp_model, problem, np.isfinite(cost), tour, 0.0, True, seed, SHARES[1] * effort)
+        return _skipping(cp_model, problem, without_far(costs, order), seed, effort / 2)
     tour = nodes_of(costs, order)
     length = problem.cost_of(tour)
     cost = np.where(_excluded(group, before), np.inf, cost)
-    lower = tour_bound(group, cost, before, tour, max(10, int(ROUNDS * effort)))
+    lower = tour_bound(group, cost, before, tour, max(10, int(ROUNDS * effort * min(1.0, FEW_NODES / home))))
     if lower.cost >= length * (1 - 1e-9):
         return tour, min(lower.cost, length)
+    most = int(SHARES[2] * effort / (count * STATE_WORK_S))
+    other, closed = closed_gap(group, cost, lower.reduced, before, length - lower.cost, most)
+    if other and problem.cost_of(other) < length:
+        tour, length = other, problem.cost_of(other)
+    bound = min(lower.cost + closed, length)
+    if bound >= length * (1 - 1e-9):
+        return tour, bound
     moves = np.isfinite(cost) & (lower.cost + lower.reduced <= length * (1 + 1e-9))
-    is_whole = moves.sum() <= MOVES
-    if not is_whole:
-        moves &= lower.reduced <= np.partition(lower.reduced[moves], MOVES)[MOVES]
     moves[[home, *tour], [*tour, home]] = True
-    exact = lower.cost if is_whole else np.inf
-    found, bound = _by_cp_sat(cp_model, problem, moves, tour, lower.cost, False, seed, SHARES[1] * effort)
-    bound = max(lower.cost, bound) if exact < np.inf else lower.cost
-    return found, min(bound, problem.cost_of(found))
+    if moves.sum() > MOVES:
+        return tour, bound
+    found, proven = _by_cp_sat(cp_model, problem, moves, tour, bound, False, seed, SHARES[1] * effort)
+    return found, min(max(bound, proven), problem.cost_of(found))
+
+
+def _skipping(
+    cp_model, problem: _Problem, order: Int[np.ndarray, "k"], seed: int, effort: float
+) -> tuple[list[int], float]:
+    """Best tour of the groups in an order that is possible, or of more or other groups by CP-SAT, and its bound [s]."""
+    group, cost, before = problem
+    tour: list[int] = []
+    if len(order):
+        kept = np.flatnonzero(np.isin(group, order))
+        groups, inner = np.unique(group[kept], return_inverse=True)
+        rows = np.append(kept, len(group))
+        fewer = _Problem(inner, cost[np.ix_(rows, rows)], before[np.ix_(groups, groups)])
+        first = [int(np.flatnonzero(inner == np.flatnonzero(groups == each)[0])[0]) for each in order]
+        tour = [int(kept[node]) for node in _solve(cp_model, fewer, first, seed, effort)[0]]
+    moves = np.isfinite(cost)
+    if moves.sum() > MOVES_SKIPPING:
+        return tour, 0.0
+    return _by_cp_sat(cp_model, problem, moves, tour, 0.0, True, seed, effort)
 
 
 def _respects(order: Int[np.ndarray, "k"], before: Bool[np.ndarray, "m m"]) -> bool:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 VIOLATED = 0.02  # least violation of a cut that is added
 CUTS_PER_ROUND = 80
 COLUMNS_PER_ROUND = 3000
+SETTLED = 100  # columns that a round may add, and still count for the end
 STALLED, RISE = 6, 0.002  # the bound stops if it rose by less than this share of the gap in so many rounds
 SCALE = 1_000_000  # capacities of a minimum cut are integers
 
@@ -54,7 +55,7 @@ def tour_bound(
     best = TourBound(0.0, cost)
     columns = _first_columns(cost, tour)
     cuts = np.zeros((0, m + 1, m + 1), bool)
-    history: list[float] = []  # bounds of rounds in which all columns were known
+    history: list[float] = []  # bounds of rounds in which few columns were missing
     for _ in range(rounds):
         solution = _solve(group, cost, columns, cuts)
         if solution is None:
@@ -79,11 +80,11 @@ def tour_bound(
         between = np.zeros((m + 1, m + 1))
         np.add.at(between, (group[columns[0][: len(flow)]], group[columns[1][: len(flow)]]), flow)
         added = _cuts(between, before) if found > 0.98 * best.cost or not priced.any() else cuts[:0]
-        if not priced.any():
+        if priced.sum() < SETTLED:
             history.append(best.cost)
-            stalled = len(history) > STALLED and best.cost - history[-STALLED] < RISE * (length - best.cost)
-            if stalled or not len(added):
-                break
+        stalled = len(history) > STALLED and best.cost - history[-STALLED] < RISE * (length - best.cost)
+        if stalled or not (priced.any() or len(added)):
+            break
         cuts = np.concatenate([cuts[weights > 0] if len(cuts) > 600 else cuts, added])
     return best
 
