@@ -1,5 +1,6 @@
 """Plan one job from Python: `htcp_jax.plan(...)` returns a `Plan`. The command `htcp plan` uses it, too."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -484,6 +485,7 @@ def _plan_seams(
     all_obstacles, names = jobs.build.obstacles_of(job.cell, robot), [seam.name for seam in job.workpiece.seams]
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
     problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
+    began = time.perf_counter()
     plans = sequencing.plan_seams(problem, found.variants, method, progress)
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
@@ -495,6 +497,7 @@ def _plan_seams(
     job, workpiece, scenario = jobs.seam_scenarios.in_order(found, robot, done, missing)
     whole = Problem.of(robot, workpiece, scenario, *about)
     made = sequencing.whole_plans(whole, sequence, list(lost.values()))
+    made = made._replace(compile_s=plans.compile_s, run_s=time.perf_counter() - began - plans.compile_s)
     reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
     order = SeamOrder.of(job.workpiece.seams[: len(done)], made, sequence, reasons)
     robot, scenario = with_own_tool(robot, scenario)

@@ -47,6 +47,7 @@ class SeamPlans(NamedTuple):
 
     found: list[SeamPlan]
     best: dict[int, Plans]  # seam -> the plan that leads furthest, for seams without a proven motion
+    compile_s: float  # time spent waiting for compilation [s]
 
 
 def plan_seams(
@@ -67,9 +68,10 @@ def plan_seams(
     nothing = problem.empty_plans()
     best = {int(seam): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, seam in enumerate(variants.seam)}
     if not len(every):
-        return SeamPlans([], best)
+        return SeamPlans([], best, 0.0)
     from_home = jax.tree.map(lambda leaf: leaf[every], scenarios)
     found = _plans(replace(problem, scenarios=_numbered(from_home, 0)), every, method, progress, "")
+    compile_s = found[0].plans.compile_s
     for plan in found:
         seam = int(variants.seam[plan.variant])
         if plan.plans.executable.sum() >= best[seam].executable.sum():
@@ -84,7 +86,9 @@ def plan_seams(
         further = replace(problem, scenarios=_numbered(begun, len(every)), settings=settings)
         made = _plans(further, variant, method, progress, "; from other configurations")
         found += [plan for plan in made if plan.plans.outcome(0).can_be_driven]
-    return SeamPlans(_both_directions(problem, variants, found), {s: best[s] for s in best if s not in done})
+        compile_s += made[0].plans.compile_s
+    lost = {seam: plan for seam, plan in best.items() if seam not in done}
+    return SeamPlans(_both_directions(problem, variants, found), lost, compile_s)
 
 
 def _plans(
@@ -216,5 +220,4 @@ def in_order(done: Sequence[Plans], missing: Sequence[Plans]) -> Plans:
     ]
     via_points = ViaPoints(*(np.concatenate(column) for column in zip(*moved, strict=True)))
     own = {"via_points": via_points, "seam_begins": tuple(counts[1:-1].tolist())}
-    times = {name: sum(getattr(part, name) for part in parts) for name in ("compile_s", "run_s")}
-    return parts[0]._replace(**arrays, **own, **times)
+    return parts[0]._replace(**arrays, **own)
