@@ -4,7 +4,8 @@ A node is one way to do a seam: its configurations at begin and end, and its dir
 A tour begins at home, visits one node of each group and ends at home. Three parts work together: `tour_search` finds a
 short tour, `tour_bound` a lower bound with reduced costs, and `tour_states` closes the gap between them, or a part of
 it, by dynamic programming. CP-SAT of OR-Tools, a circuit with optional nodes, continues with the moves that a shorter
-tour can contain. If no tour visits all groups, CP-SAT alone decides which groups are skipped.
+tour can contain. If no tour visits all groups, CP-SAT alone decides which groups are skipped. The other parts are not
+left to CP-SAT, because alone it proves no useful bound for 14 groups of 8 nodes in a minute.
 """
 
 from collections.abc import Iterable
