@@ -144,7 +144,9 @@ class Plan:
         here = plans.executable[0] & (np.arange(plans.x.shape[1]) >= self.scenario.on_path)
         if not len(x):
             return {}
-        joints, path = (np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in (x, plans.tcp[0, here]))
+        steps = np.linalg.norm(np.diff(plans.tcp[0], axis=0), axis=1)
+        path = steps[here[1:] & here[:-1] & ~plans.begins_seam[1:]].sum()  # without the air moves between seams
+        joints = np.linalg.norm(np.diff(x, axis=0), axis=1).sum()
         return {"motion length": f"{joints:.3g} rad in the joints; {1e3 * path:.4g} mm of the tool's path"}
 
     def _reduced_margin(self) -> dict[str, str]:

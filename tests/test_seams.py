@@ -27,6 +27,11 @@ def write_job(folder, *seams, **changes):
     """Write the toy arm's job with seams in place of its path, and return its file."""
     file = toy.write_job(folder)
     np.savetxt(folder / "far.csv", [[9.0, 0.0, 0.3], [9.1, 0.0, 0.3]], delimiter=",")
+    points = [",".join(map(str, point)) for point in toy.workpiece().path]
+    (folder / "two.csv").write_text("\n".join([*points[:5], "", *points[5:], ""]))
+    for name, labels in {"returns": "aabba", "empty_cell": ["a", "a", "", "b", "b"]}.items():
+        rows = [f"{point},{label}" for point, label in zip(points, labels, strict=False)]
+        (folder / f"{name}.csv").write_text("\n".join(["x,y,z,seam", *rows, ""]))
     job = yaml.safe_load(file.read_text())
     del job["workpiece"]["path"]
     file.write_text(yaml.safe_dump(job | {"seams": list(seams)} | changes))
@@ -117,6 +122,31 @@ def test_a_saved_plan_of_two_seams_becomes_one_program_that_is_read_back_and_pro
     assert "proven" in capsys.readouterr().out
 
 
+def test_the_program_stops_at_each_point(tmp_path):
+    seams = LEFT | {"rows": [2, 3], "points": True}, RIGHT
+    assert main(["plan", str(write_job(tmp_path, *seams)), "--out", str(tmp_path / "out")]) == 0
+    command = [
+        "program",
+        str(tmp_path / "out"),
+        "--feed",
+        "20mm/s",
+        "--format",
+        "csv",
+        "--out",
+        str(tmp_path / "p.csv"),
+    ]
+    assert main([*command, "--set", "program.velocity=[1, 1, 1, 1]"]) == 0
+    joints = [f"j{k}_rad" for k in range(1, 5)]
+    lines = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
+    program = np.array([[float(row[name]) for name in joints] for row in csv.DictReader(lines)])
+    points = [row for row in rows_of(tmp_path / "out", "trajectory.csv") if row["seam"].startswith("left")]
+    assert len({row["seam"] for row in points}) == 3
+    for point in points:
+        apart = np.abs(program - [float(point[name]) for name in joints]).max(axis=1)
+        assert apart.min() < 1e-8
+        assert np.abs(np.diff(program, axis=0)).max(axis=1)[max(0, apart.argmin() - 1)] < 1e-5
+
+
 def test_a_saved_plan_whose_seams_do_not_ascend_is_refused(complete, tmp_path, capsys):
     (tmp_path / "summary.json").write_text((complete / "summary.json").read_text())
     arrays = dict(np.load(complete / "trajectory.npz"))
@@ -163,6 +193,9 @@ def test_tangents_do_not_cross_from_seam_to_seam():
     ([LEFT | {"after": ["top"]}], "seams: 'left' is after 'top', which is no seam; seams: left"),
     ([LEFT | {"after": ["right"]}, RIGHT | {"after": ["left"]}], "seams: the keys after form a circle: "),
     ([LEFT | {"rows": [8, 5]}], "seam 'left': rows [8, 5]: path.csv has 10 rows"),
+    ([LEFT | {"path": "two.csv", "rows": [3, 4]}], "rows [3, 4] are in 2 seams of two.csv: 0 to 4, 5 to 9; choose"),
+    ([LEFT | {"path": "returns.csv", "rows": None}], "the name 'left a' occurs 2 times; names must differ"),
+    ([LEFT | {"path": "empty_cell.csv", "rows": None}], "row 3 has no value in the column seam; each row"),
     ([LEFT | {"points": True, "direction": "forward"}], "seam 'left' has points: true; its key direction would"),
     ([LEFT | {"begins_at": 2}], "seam 'left': begins_at is for a seam with closed: true"),
     ([LEFT | {"direction": "up"}], "direction"),

@@ -118,18 +118,23 @@ def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:
         first, own = seam.rows
         if not 0 < own <= count - first:
             raise InputError(f"seam {seam.name!r}: rows {list(seam.rows)}: {Path(seam.path).name} has {count} rows")
-        ranges = {seam.name: (first, own)}
+        inside = [each for each in points.seams if each.first < first + own and first < each.first + each.count]
+        if len(inside) > 1 and not seam.points:
+            bounds = ", ".join(f"{each.first} to {each.first + each.count - 1}" for each in inside)
+            what = f"rows {list(seam.rows)} are in {len(inside)} seams of {Path(seam.path).name}: {bounds}"
+            raise InputError(f"seam {seam.name!r}: {what}; choose rows of one seam")
+        ranges = [(seam.name, (first, own))]
     elif len(points.seams) > 1:
-        ranges = {f"{seam.name} {each.label}": (each.first, each.count) for each in points.seams}
+        ranges = [(f"{seam.name} {each.label}", (each.first, each.count)) for each in points.seams]
     else:
-        ranges = {seam.name: (0, count)}
+        ranges = [(seam.name, (0, count))]
     if seam.points:
-        rows = [row for first, own in ranges.values() for row in range(first, first + own)]
-        ranges = {f"{seam.name} {k + 1}": (row, 1) for k, row in enumerate(rows)}
+        rows = [row for _, (first, own) in ranges for row in range(first, first + own)]
+        ranges = [(f"{seam.name} {k + 1}", (row, 1)) for k, row in enumerate(rows)]
     whole = len(ranges) == 1 and seam.rows is None and not seam.closed
     return [
         seam.model_copy(update={"name": name, "rows": None if whole else rows, "points": False})
-        for name, rows in ranges.items()
+        for name, rows in ranges
     ]
 
 

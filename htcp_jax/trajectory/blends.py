@@ -106,7 +106,8 @@ def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits
     along = np.diff(polyline.arm.tcp, axis=0) / np.maximum(polyline.length, 1e-300)[:, None]
     turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
     stops = (
-        (np.diff(polyline.group + 10 * polyline.on_process) != 0)
+        (np.diff(polyline.group) != 0)
+        | (np.diff(polyline.on_process) != 0)
         | (polyline.on_process[1:] & turned)
         | (blend_length[1:-1] <= 0)
     )
@@ -135,10 +136,15 @@ class _Polyline(NamedTuple):
 
 
 def _moving_legs(robot: Robot, motion: Motion, left: MotionSlack) -> _Polyline:
-    """Return the polyline of the legs on which joints move. Transfer and approach form one group."""
+    """Return the polyline of the legs on which joints move.
+
+    The transfer from the start and the approach form one group, and so does the transfer to each later seam: the arm
+    stops at a seam of one target.
+    """
     kept = np.flatnonzero(np.append(True, np.any(np.diff(motion.x, axis=0) != 0, axis=1)))
     row = kept[1:]
-    group = np.maximum(motion.kind[row], Kind.APPROACH).astype(int)
+    kind, target = motion.kind[row], motion.target[row].astype(int)
+    group = np.maximum(kind, Kind.APPROACH) + len(Kind) * np.where(kind == Kind.TRANSFER, target, 0)
     features = left.rows.features if left.rows else ()
     return _Polyline(motion.x[kept], row, group, left.only(row - 1), arm_at(robot, motion.x[kept], features))
 

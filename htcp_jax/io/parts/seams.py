@@ -59,6 +59,9 @@ def seam_rows(
         if SEAM_COLUMN.fullmatch(name):
             starts = np.cumsum([0, *(count for _, count in runs)]).tolist()
             labels = [f"{value:g}" if isinstance(value, float) else value for value, _ in runs]
+            if "" in labels:
+                row = starts[labels.index("")] + 1
+                raise InputError(f"{source}: row {row} has no value in the column {head.text}; each row needs its seam")
         elif 1 < len(runs) < len(rows):
             bounds = np.cumsum([0, *(count for _, count in runs)]).tolist()
             what = f"{_seams(bounds)}, by column {head.text}"
