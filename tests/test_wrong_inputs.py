@@ -477,11 +477,7 @@ PATHS = [
     path("p.csv", "0.1,0.2,0.3\n0.1,inf,0.3\n", "line 2"),
     path("p.csv", "0.1,0.2,0.3\n\n0.1\n", "line 3 has 1 columns"),
     path("p.csv", "0.1,0.2,1e12\n", "which is too large; give metres"),
-    path(
-        "p.csv",
-        "0.1,0,0\n0.2,0,0\n\n0.1,0.1,0\n0.2,0.1,0\n",
-        "p.csv: 2 seams (rows 1 to 2, rows 3 to 4), separated by a",
-    ),
+    path("p.csv", "x,y,z,pass\n0.1,0,0,1\n0.2,0,0,1\n0.1,0.1,0,2\n0.2,0.1,0,2\n", "2 seams (rows 1 to 2, rows 3 to 4)"),
     path(
         "p.csv",
         "time,lat,lon,alt\n0.5,0.1,0,0\n",

@@ -32,7 +32,7 @@ import numpy as np
 
 PACKAGE, ROOT = __name__.partition(".")[0], Path(__file__).parents[1]
 # packages with code that lane functions use
-CORE = "caching", "spec", "model", "solvers", "clearance", "device", "motion", "planning", "reachability"
+CORE = "caching", "spec", "model", "solvers", "clearance", "device", "motion", "planning", "sequencing", "reachability"
 LIBRARIES = "jax", "jaxlib", "numpy", "optax"  # libraries that lane functions use
 INSTALLED = Path(jax.__file__).parents[1]  # folder of the installed libraries
 WRAPPERS = (classmethod, staticmethod, partial, type(jax.jit(len)), jax.custom_jvp, jax.custom_vjp, FunctionType)

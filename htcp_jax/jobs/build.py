@@ -171,7 +171,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
     if part.seams:
         points, begins = points_of_seams(part)
         track = {"path": points, "name": part.path_label, "seam_begins": begins}
-    elif track["path"] is not None:
+    else:
         columns = {} if part.path_columns is None else part.path_columns.given
         track |= {"path_columns": columns, "path_unit": part.path_unit, "path_angles": part.path_angles}
     workpiece = parts.load_workpiece(

@@ -99,12 +99,17 @@ def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
 def _reader(part: WorkpieceConfig):
     """Return a function that reads a path, each file once."""
     columns: Mapping[str, int | str] = {} if part.path_columns is None else part.path_columns.given
+    given = {"path_columns": columns, "path_unit": part.path_unit, "path_angles": part.path_angles}
 
     @cache
     def read(path: str) -> parts.PathPoints:
         if not is_file(part, path):
             if not part.is_duct or path not in SEAMS:
                 raise InputError(f"seams: {path!r} is neither a file nor a seam of the duct: {', '.join(SEAMS)}")
+            for key, value in given.items():
+                if value:
+                    what = f"the path {path!r} is a seam of the generated duct, not a file; omit the key"
+                    raise InputError(f"workpiece.{key} is {value!r}, but {what}")
             return parts.PathPoints(parts.GeneratedDuct(seam=path).path(), PathFrames())
         return parts.read_path_points(Path(path), columns, part.path_unit, part.path_angles)
 

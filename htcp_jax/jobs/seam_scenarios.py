@@ -100,6 +100,6 @@ def _rows(whole: Scenario, robot: Robot, first: int, last: int) -> Scenario:
         whole,
         targets=targets,
         task_goals=None if whole.task_goals is None else whole.task_goals[rows],
-        count=np.int32(len(rows)),
-        refused=np.int32(Status.OUT_OF_REACH if is_far else NOT_REFUSED),
+        count=np.array(len(rows), np.int32),
+        refused=np.array(Status.OUT_OF_REACH if is_far else NOT_REFUSED, np.int32),
     )
