@@ -2,6 +2,7 @@
 
 import csv
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -165,6 +166,15 @@ def test_a_file_with_a_column_seam_is_the_same_job_as_a_list_of_its_seams(tmp_pa
     assert [(seam.name, seam.rows) for seam in part.seams] == [("a", (0, 5)), ("b", (5, 5))]
     again = load_config({"workpiece": part.model_dump() | {"cloud": "none"}}).workpiece
     assert again.seams == part.seams and again.path == ""
+
+
+def test_a_note_about_the_file_of_a_path_is_given_once(tmp_path):
+    file = toy.write_job(tmp_path)
+    (tmp_path / "path.csv").write_text("0.4,0,0.3\n0.42,0,0.3")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        build.resolved_scene(load_config(file))
+    assert sum("has no line end" in str(one.message) for one in said) == 1
 
 
 def test_each_row_of_a_seam_with_points_is_a_seam_and_precedence_holds_for_all_of_them(tmp_path):

@@ -34,7 +34,7 @@ from htcp_jax.jobs.seam_paths import check_one_seam
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, interior_plane_of, make_scenarios, start_and_home
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
-from htcp_jax.spec import PlanConfig, WorkpieceConfig, numbers_of
+from htcp_jax.spec import PlanConfig, numbers_of
 
 # Sections of a configuration; the other keys are those of the start and the margins
 SECTIONS = "robot", "positioner", "rail", "tool", "workpiece", "cell", "task", "settings"
@@ -166,7 +166,6 @@ class _Builder:
         self._name, self._robot, own = name, robot, robot_key(config)
         self._robots = cache(lambda *key: robot if key == own else robot_of(*key))
         self._workpieces = cache(lambda part, *key: workpiece_of(part, self._robots(*key)))
-        self._one_seam: set[WorkpieceConfig] = set()  # parts that are known to have one seam
         self._obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
         self._numbers: dict[tuple, int] = {}  # numbers of cells, by what determines them
         self._shared: dict[tuple[int, ...], _Shared] = {}
@@ -194,9 +193,7 @@ class _Builder:
         job = point.config
         arm, part, surroundings = robot_key(job), workpiece_key(job), obstacles_key(job.cell)
         robot = _like(self._robot, self._robots(*arm), f"{self._name}: scenario {point.number}")
-        if part not in self._one_seam:
-            check_one_seam(part)
-            self._one_seam.add(part)
+        check_one_seam(part)
         workpiece = self._workpieces(part, *arm)
         with _naming(point):
             task = task_of_job(job, robot)

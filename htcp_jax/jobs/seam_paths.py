@@ -1,5 +1,6 @@
 """Paths of a part's seams: the seams that its files contain, and the points of all seams in the order of work."""
 
+import warnings
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -28,7 +29,8 @@ def is_file(part: WorkpieceConfig, path: str) -> bool:
 def with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     """Return the section `workpiece` with one entry in `seams` for each seam that the path's files contain.
 
-    A file of one seam remains the path. A seam with `points: true` becomes one seam per row.
+    A file of one seam remains the path. A seam with `points: true` becomes one seam per row. Notes and warnings about a
+    file are not given here, but when its points are read for the workpiece.
 
     Args:
         part: The section.
@@ -36,6 +38,12 @@ def with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     Raises:
         InputError: If a file cannot be read, if a seam has rows that its file lacks, and for names that occur twice.
     """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _with_seams_of_files(part)
+
+
+def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     read = _reader(part)
     if not part.seams:
         found = read(part.path).seams if is_file(part, part.path) else ()
@@ -56,7 +64,7 @@ def with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
 
 
 def check_one_seam(part: WorkpieceConfig) -> None:
-    """Check that a part has one seam.
+    """Check that a part's list of seams is one seam; a path's file of several is refused when it is read.
 
     Args:
         part: The section `workpiece`.
@@ -64,7 +72,7 @@ def check_one_seam(part: WorkpieceConfig) -> None:
     Raises:
         InputError: If it has several.
     """
-    names = [seam.name for seam in with_seams_of_files(part).seams]
+    names = [seam.name for seam in with_seams_of_files(part).seams] if part.seams else []
     if len(names) > 1:
         few = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
         raise InputError(

@@ -205,7 +205,8 @@ class Problem:
             target: Target at each segment's end.
         """
         row = np.asarray(target - self.scenarios.on_path[scenario])  # row of the path
-        return (row <= 0) | np.isin(row, self.workpiece.seam_begins)
+        begins = self.workpiece.seam_begins
+        return (row <= 0) | np.isin(row, begins) if begins else row <= 0
 
     def empty_plans(self) -> Plans:
         """Return plans without any attempted target, to be filled in; refused scenarios already have their status."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.sequencing.tour_search import COLD, EPOCHS, HOT, GroupCosts, best_slots, ranks
+from htcp_jax.sequencing.tour_search import EPOCHS, GroupCosts, best_slots, ranks, replace_worst, temperature_at
 
 CHAINS = 8
 REMOVED = 8  # groups that a step removes at most
@@ -51,7 +51,7 @@ def search_long(
     steps = max(EPOCHS, int(effort / ((1 + most) / 2 * (STEP_WORK_S + CHAINS * costs.node.size * NUMBER_WORK_S))))
     near = ranks(costs)
     for step in range(steps if m > 1 else 0):
-        temperature = float(np.median(shortest)) / (m + 1) * HOT * (COLD / HOT) ** (step / steps)
+        temperature = temperature_at(shortest, m, step / steps)
         number = int(rng.integers(1, most + 1))
         line = moves.group[nodes]
         seeds = rng.integers(m, size=CHAINS)
@@ -72,10 +72,7 @@ def search_long(
             better = lengths < shortest
             best[better], shortest[better] = nodes[better], lengths[better]
         if (step + 1) % max(1, steps // EPOCHS) == 0:
-            rank = np.argsort(shortest, kind="stable")
-            worst, good = rank[-CHAINS // 4 :], rank[: CHAINS // 4]
-            nodes[worst], lengths[worst] = best[good], shortest[good]
-            best[worst], shortest[worst] = best[good], shortest[good]
+            replace_worst((nodes, lengths), (best, shortest))
     at = int(np.argmin(shortest))
     return moves.group[best[at]], float(shortest[at])
 

@@ -31,7 +31,6 @@ class SeamSequence(NamedTuple):
     retract: AirMove | None  # from the last visit to home; None without a home
     cost_s: float  # time of the whole motion at the joints' full speed
     bound_s: float  # lower bound on this time for all orders of the same plans
-    rounds: int  # number of orders whose air moves were proven
 
 
 def find_sequence(
@@ -57,18 +56,18 @@ def find_sequence(
         progress: See `batch.plan`; here it counts the air moves of the current order.
     """
     if not len(plans):
-        return SeamSequence([], [], None, 0.0, 0.0, 0)
+        return SeamSequence([], [], None, 0.0, 0.0)
     nodes, report = _nodes(seams, plans, speed), _Report(progress)
     moves = AirMoves(problem, nodes.configurations, home, speed, report.add)
     cost = _least_times(moves)
     is_known, least, ratio = np.zeros(cost.shape, bool), cost.copy(), 1.0
-    best, hint, rounds, seed = (np.inf, list[int]()), None, 0, problem.settings.seed
-    for rounds in range(1, ROUNDS + 1):
+    best, hint, seed = (np.inf, list[int]()), None, problem.settings.seed
+    for number in range(1, ROUNDS + 1):
         estimate = np.where(is_known, cost, ratio * cost)
         order = _order(nodes, estimate, moves.home, before, seed, ORDER_EFFORT, hint)
         pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
-        report.begin(rounds, len(new))
+        report.begin(number, len(new))
         moves.find(new)
         for a, b in new:
             move = moves.between(a, b)
@@ -83,11 +82,8 @@ def find_sequence(
     time_s, chosen = best
     bound_s = _order(nodes, cost, moves.home, before, seed, BOUND_EFFORT, chosen).bound
     legs = [moves.between(*pair) for pair in _pairs(nodes, chosen, moves.home)]
-    has_home = moves.home is not None
-    return SeamSequence(
-        [plans[k] for k in chosen], legs[:-1] if has_home else legs, legs[-1] if has_home else None,
-        time_s, min(bound_s, time_s), rounds,
-    )  # fmt: skip
+    retract = legs.pop() if legs and moves.home is not None else None
+    return SeamSequence([plans[k] for k in chosen], legs, retract, time_s, min(bound_s, time_s))
 
 
 def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plans]) -> Plans:

@@ -93,8 +93,7 @@ def search(
     near = ranks(costs)
     chains = np.arange(CHAINS)
     for step in range(steps if m > 2 else 0):
-        scale = float(np.median(shortest)) / (m + 1)
-        temperature = scale * HOT * (COLD / HOT) ** (step / steps)
+        temperature = temperature_at(shortest, m, step / steps)
         number = int(rng.integers(1, removed + 1))
         seeds = rng.integers(m, size=CHAINS)
         place = np.argsort(orders, axis=1)
@@ -111,12 +110,37 @@ def search(
         better = lengths < shortest
         best[better], shortest[better] = orders[better], lengths[better]
         if (step + 1) % max(1, steps // EPOCHS) == 0:
-            rank = np.argsort(shortest, kind="stable")
-            worst, first = rank[-CHAINS // 4 :], rank[: CHAINS // 4]
-            orders[worst], lengths[worst] = best[first], shortest[first]
-            best[worst], shortest[worst] = best[first], shortest[first]
+            replace_worst((orders, lengths), (best, shortest))
     first = int(np.argmin(shortest))
     return best[first], float(shortest[first])
+
+
+def temperature_at(shortest: Float[np.ndarray, "B"], groups: int, share: float) -> float:
+    """Return the temperature of the annealing [s].
+
+    Args:
+        shortest: Cost of the best tour of each chain [s].
+        groups: Number of groups.
+        share: Share of the steps that are done [1].
+    """
+    return float(np.median(shortest)) / (groups + 1) * HOT * (COLD / HOT) ** share
+
+
+def replace_worst(
+    now: tuple[Int[np.ndarray, "B m"], Float[np.ndarray, "B"]],
+    best: tuple[Int[np.ndarray, "B m"], Float[np.ndarray, "B"]],
+) -> None:
+    """Replace the worst quarter of the chains by the best tours of the best quarter.
+
+    Args:
+        now: Tours of the chains, and their costs [s]; they are modified.
+        best: The best tour of each chain so far, and its cost [s]; they are modified.
+    """
+    tours, costs = best
+    rank = np.argsort(costs, kind="stable")
+    worst, first = rank[-len(rank) // 4 :], rank[: len(rank) // 4]
+    for each_tours, each_costs in (now, best):
+        each_tours[worst], each_costs[worst] = tours[first], costs[first]
 
 
 def lengths_of(costs: GroupCosts, orders: Int[np.ndarray, "B m"]) -> Float[np.ndarray, "B"]:

@@ -62,7 +62,7 @@ class NarrowSegment(NamedTuple):
 
 
 class ShownFile(NamedTuple):
-    """What the proof of a motion in a file says, for its T displayed configurations, which stand for a plan's targets.
+    """Texts about the proof of a motion in a file; its T displayed configurations stand for a plan's targets.
 
     The text of the segment to configuration 0 says that the motion begins there.
     """
