@@ -258,8 +258,8 @@ def one_by_one(function: Callable) -> Callable:
     return alone
 
 
-@jax.jit
-def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
+@partial(jax.jit, static_argnames="optional")
+def null_basis(task_jacobian: Float[Array, "M N"], optional: int = 0) -> Float[Array, "N D"]:
     """Return an orthonormal basis of a task Jacobian's null space, equation (10); D = N - M columns.
 
     Gram-Schmidt on the rows, then on the unit vectors. Each step takes the unit vector furthest from the span of the
@@ -267,7 +267,8 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
     unlike that of a singular value decomposition. The paper prints its shape as M x (N - M), but means N x (N - M).
 
     Args:
-        task_jacobian: The Jacobian; its rank must be M.
+        task_jacobian: The Jacobian; its rank must be M, without rows of zeros.
+        optional: Number of rows that may be 0. D is N - M + optional, and columns that are not in the basis are 0.
 
     Raises:
         InputError: If the array is not a matrix.
@@ -282,12 +283,16 @@ def null_basis(task_jacobian: Float[Array, "M N"]) -> Float[Array, "N D"]:
     for row in range(m):
         v = _without(found, task_jacobian[row])
         found.append(v / jnp.maximum(safe_norm(v), 1e-12))
-    for _ in range(n - m):
+    for column in range(n - m + optional):
         # Squared distance of each unit vector from the span of the vectors found so far.
         furthest = jnp.argmax(1.0 - sum(u * u for u in found))
         v = _without(found, jnp.where(jnp.arange(n) == furthest, 1.0, 0.0))
-        found.append(v / safe_norm(v))
-    return jnp.stack(found[m:], axis=1) if n > m else jnp.zeros((n, 0), task_jacobian.dtype)
+        if optional:
+            is_free = column < n - jnp.sum(jnp.any(task_jacobian != 0, axis=1))
+            found.append(jnp.where(is_free, v, 0.0) / jnp.where(is_free, safe_norm(v), 1.0))
+        else:
+            found.append(v / safe_norm(v))
+    return jnp.stack(found[m:], axis=1) if n - m + optional else jnp.zeros((n, 0), task_jacobian.dtype)
 
 
 def _without(found: list[Joints], v: Joints) -> Joints:

@@ -165,7 +165,7 @@ def test_goals_are_inserted_where_the_task_turns_the_tool_by_more_than_its_cones
     found = {}
     for cone_deg in (None, 5.0, 15.0):
         task = Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0), cone=cone_deg is not None)))
-        cone = [] if cone_deg is None else [np.deg2rad(cone_deg)]
+        cone = [np.deg2rad(cone_deg or 0.0)]
         goals = np.stack([np.concatenate([place, normal, cone]) for place, normal in zip(path, normals, strict=True)])
         stacked = scenarios.stack([replace(scenario(path), task_goals=goals[[0, 0, 1, 2]])])  # target 1 begins the path
         found[cone_deg] = pieces_of(toy.robot(), task, stacked, toy.SETTINGS)[0, 1:].tolist()
@@ -200,12 +200,12 @@ def test_validation_turns_directions_between_targets_as_inserted_goals_do():
     rows = AxisRow(axis="tcp.z", towards="path.normal"), OrientationRow(orientation="path")
     point, share = np.array([1, 2, 2, 1]), np.array([0.0, 0.4, 1.0, 0.7])
     found = part_between(rows, np.eye(3), np.zeros(3), part, point, share)
-    columns = np.concatenate([path, normals, turns.as_matrix().reshape(3, 9)], axis=1)
+    columns = np.concatenate([path, normals, np.zeros((3, 1)), turns.as_matrix().reshape(3, 9)], axis=1)
     task = Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0), cone=False), FrameOrientation(None)))
     goals = task.interpolated(np.stack([columns[point - 1], columns[point]], axis=1), share)
     np.testing.assert_allclose(found.workpiece.path[found.point], goals[:, :3], atol=1e-12)
     np.testing.assert_allclose(found.workpiece.normals[found.point], goals[:, 3:6], atol=1e-12)
-    np.testing.assert_allclose(found.workpiece.rotations[found.point].reshape(4, 9), goals[:, 6:], atol=1e-12)
+    np.testing.assert_allclose(found.workpiece.rotations[found.point].reshape(4, 9), goals[:, 7:], atol=1e-12)
 
 
 # The longest joint step

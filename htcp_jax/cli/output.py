@@ -29,6 +29,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from htcp_jax.device import COMPILATIONS
 from htcp_jax.report import Table
 
 WIDEST = 100_000  # console width [characters], wider than any table: tables are split before they are printed
@@ -112,6 +113,7 @@ def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: 
         **how: Arguments passed on to `rich.progress.Progress`.
     """
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), ElapsedColumn())
+    columns = *columns[:-1], CompilingColumn(), columns[-1]
     console, ended = Console(stderr=True), threading.Event()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
         if not console.is_terminal:
@@ -122,12 +124,20 @@ def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: 
             ended.set()
 
 
+class CompilingColumn(ProgressColumn):
+    """What is being compiled, see `Compilations.text`; empty if nothing is."""
+
+    def render(self, task: Task) -> Text:
+        """Return the text."""
+        return Text(COMPILATIONS.text)
+
+
 def _print_lines(bars: Progress, ended: threading.Event, line_s: float) -> None:
     while not ended.wait(line_s):
         for task in [each for each in bars.tasks if not each.finished][:1] or bars.tasks[-1:]:
-            cells = [column(task) for column in bars.columns if not isinstance(column, BarColumn)]
+            cells = [f"{column(task)}".strip() for column in bars.columns if not isinstance(column, BarColumn)]
             with contextlib.suppress(OSError, ValueError):  # stderr is closed
-                print(f"htcp: {' '.join(f'{cell}'.strip() for cell in cells)}", file=sys.stderr, flush=True)
+                print(f"htcp: {' '.join(filter(None, cells))}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -149,6 +159,14 @@ def progress_bar(
     with progress_bars(*columns, line_s=line_s) as bars:
         task = bars.add_task(first or what, total=None)
         yield lambda done, count, text="": bars.update(task, description=f"{what}{text}", completed=done, total=count)
+
+
+@contextmanager
+def progress_text(text: str) -> Iterator[None]:
+    """Show a text and the elapsed time until the block ends, for work whose steps are not counted."""
+    with progress_bars(TextColumn("{task.description}"), ElapsedColumn()) as bars:
+        bars.add_task(text, total=None)
+        yield
 
 
 def width() -> int:

@@ -24,6 +24,7 @@ from htcp_jax.cli.output import (
     print_facts,
     print_json,
     progress_bar,
+    progress_text,
     stdout,
 )
 from htcp_jax.errors import Interrupted
@@ -95,12 +96,14 @@ def plan(
         plan_folder.refuse_run(out)
         with output_files.written_whole(out) as folder:
             made = plan_with_progress(job, source_of(config), device)
-            made.write(folder, retract=retract)
+            with progress_text("writing results"):
+                made.write(folder, retract=retract)
+                facts = made.facts(verbose=verbose)
     api.forget_validation(out)
     if as_json:
         print_json(made.record())
     else:
-        print_facts(str(made), made.facts(verbose=verbose) | {"files": str(out)})
+        print_facts(str(made), facts | {"files": str(out)})
         for where, why in made.failure().items():
             stdout().print(Text.assemble((f"{where}: ", "red"), why))
     return COMPLETE if made.complete else INCOMPLETE

@@ -15,6 +15,7 @@ from htcp_jax.cli.methods import complete_methods
 from htcp_jax.cli.output import (
     Config,
     Device,
+    ElapsedColumn,
     Json,
     Limit,
     Overrides,
@@ -147,6 +148,7 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
         TextColumn("{task.description:<14}"),
         BarColumn(),
         TextColumn("{task.fields[stage]}{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
+        ElapsedColumn(),
         _TimeLeftColumn(elapsed_when_finished=True),
     )
     with progress_bars(*columns, speed_estimate_period=600) as bars:

@@ -7,8 +7,9 @@ runs it for many lanes side by side. `by_chunks` runs such a loop for joint path
 not depend on the other rows of its batch.
 
 `devices` chooses CPU or GPU and the number of threads, and `processes` shares scenarios among worker processes.
-`kept_executables` stores compiled programs in the cache folder, and loads them without tracing. `tables` has functions
-for tables of arrays with one row per lane: gather, scatter, concatenate.
+`compilations` counts the programs that are being compiled. `kept_executables` stores compiled programs in the cache
+folder, and loads them without tracing. `tables` has functions for tables of arrays with one row per lane: gather,
+scatter, concatenate.
 """
 
 import lazy_loader

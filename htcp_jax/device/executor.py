@@ -16,6 +16,7 @@ from htcp_jax.backend import Backend, compiled_for, default_device
 from htcp_jax.caching import cache_folder, program_key, source_key
 from htcp_jax.clearance import Scene
 from htcp_jax.device import kept_executables
+from htcp_jax.device.compilations import COMPILATIONS
 from htcp_jax.device.devices import cores
 from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
@@ -120,13 +121,14 @@ class ExecutableCache:
         source = source_key(lane_function, values, device, options, *about) if keeps else None
         if found := kept_executables.find(source, device, arguments):
             return found
-        with self._tracing, compiled_for(Backend.of(device.platform)):
-            lowered = lane_function.jitted(settings, device).lower(*arguments)
-        if not keeps:
-            return lowered.compile(options)
-        program = program_key(lane_function.name, lowered, device, options)
-        with cache_folder.compilation_lock(program):
-            return kept_executables.compiled(source, program, lambda: lowered.compile(options), device, arguments)
+        with COMPILATIONS.compiling():
+            with self._tracing, compiled_for(Backend.of(device.platform)):
+                lowered = lane_function.jitted(settings, device).lower(*arguments)
+            if not keeps:
+                return lowered.compile(options)
+            program = program_key(lane_function.name, lowered, device, options)
+            with cache_folder.compilation_lock(program):
+                return kept_executables.compiled(source, program, lambda: lowered.compile(options), device, arguments)
 
     def _kept(self, key: tuple) -> jax.stages.Compiled | None:
         with self._sorting:
@@ -193,6 +195,7 @@ class Executor:
     ):
         self.device = device or default_device()
         self._scene, self._settings = jax.device_put(scene.without_labels(), self.device), settings
+        self._for_either = self._scene._replace(task=self._scene.task.for_either)
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
         self._threads = threads if self._pool else 1
@@ -275,8 +278,8 @@ class Executor:
             calls: Tuples (lane function, *tables) like those of later calls. The tables' values and the number of lanes
                 may differ from those of the later calls.
         """
-        with ThreadPoolExecutor(cores()) as pool:
-            begun = [pool.submit(self._ready, lane_function, tables) for lane_function, *tables in calls]
+        with COMPILATIONS.requested(len(calls)) as begin, ThreadPoolExecutor(cores()) as pool:
+            begun = [pool.submit(self._ready, begin, lane_function, tables) for lane_function, *tables in calls]
             try:
                 yield begun
             except BaseException:
@@ -286,7 +289,9 @@ class Executor:
                 with NO_STOPWATCH if each.done() else self._waiting:
                     each.result()
 
-    def _ready(self, lane_function: LaneFunction, tables) -> None:
+    def _ready(self, begin: Callable[[], None], lane_function: LaneFunction, tables) -> None:
+        begin()
+
         def ready(fitting: LaneFunction) -> None:
             self._executables.get(fitting, self._settings, self.device, self._arguments(fitting, tables))
 
@@ -307,7 +312,7 @@ class Executor:
         table, lanes = lane_function.sizes.on(self.device), len(jax.tree.leaves(tables)[0])
         filled = -(-lanes // table.width) * table.width
         padded = jax.tree.map(lambda t: pad(np.asarray(t), table.length(lanes), filled), tables)
-        return self._scene, np.int32(lanes), *padded
+        return self._for_either if lane_function.any_cone else self._scene, np.int32(lanes), *padded
 
     def _executable(self, lane_function: LaneFunction, arguments: tuple) -> jax.stages.Compiled:
         key = lane_function, len(jax.tree.leaves(arguments)[-1])  # the tables' length: a table may be short

@@ -78,6 +78,7 @@ class LaneFunction:
     parts: tuple = ()  # first arguments of the function; hashable
     refill: Callable = refilled  # `refilled` or a replacement; used if the tables' size has `refills`
     remembers: bool = False  # True: the function returns a `Loop` that passes on a memory from lane to lane
+    any_cone: bool = False  # True: one executable serves axes with and without a cone, see `Task.for_either`
 
     def values(self, settings: Settings) -> tuple:
         """Return the values of the settings that the function reads."""

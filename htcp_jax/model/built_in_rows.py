@@ -3,7 +3,7 @@
 Errors of angles are rotation vectors, the logarithm map (Lynch and Park, Modern Robotics, section 3.2.3) [rad].
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import jax
@@ -121,7 +121,7 @@ class PointAlong(Row):
 class AxisTowards(Row):
     """An axis of the arm that must point in a direction, or from `looks_from_m` at a place: exactly, or within a cone.
 
-    A goal is the direction, or the place [m], and with a cone its half angle [rad].
+    A goal is the direction, or the place [m], and the cone's half angle [rad], 0 without a cone.
     """
 
     link: int | None  # link to which the axis is fixed; None: the TCP's frame
@@ -129,9 +129,17 @@ class AxisTowards(Row):
     looks_from_m: Triple | None = None  # origin of the axis in that frame; None: the goal is a direction
     cone: bool = True
     seen_from: ArmFrame | None = None  # frame of a goal's direction; None: the chain's root
+    # True: compiled functions serve both, with a cone if the goal has a half angle. With one, errors are 0; else the
+    # slack is infinite
+    is_either: bool = False
 
     angular: ClassVar[bool] = True
     turns: ClassVar[bool] = True
+
+    @property
+    def either(self) -> "AxisTowards":
+        """The row for which the goal decides whether there is a cone."""
+        return replace(self, cone=True, is_either=True)
 
     @property
     def is_view(self) -> bool:
@@ -147,6 +155,8 @@ class AxisTowards(Row):
     @property
     def equalities(self) -> int:
         """Number of equations: two without a cone, as the arm may rotate about the axis."""
+        if self.is_either:
+            return 2
         return 0 if self.cone else 2
 
     @property
@@ -157,19 +167,21 @@ class AxisTowards(Row):
     @property
     def numbers(self) -> int:
         """Number of coordinates of a goal."""
-        return 3 + self.cone
+        return 4
 
     def error(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "m"]:
         """Return the rotation vector from axis to direction [rad], as two components perpendicular to the direction."""
-        if self.cone:
+        if not self.equalities:
             return jnp.zeros(0)
-        return axis_error(value[:3], self._direction(value, goal))
+        found = axis_error(value[:3], self._direction(value, goal))
+        return jnp.where(goal[3] > 0, 0.0, found) if self.is_either else found
 
     def slack(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the cone's half angle minus the angle from the axis to the direction [rad]."""
         if not self.cone:
             return jnp.zeros(0)
-        return (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
+        found = (goal[3] - angle(value[:3], self._direction(value, goal)))[None]
+        return jnp.where(goal[3] > 0, found, jnp.inf) if self.is_either else found
 
     def aim(self, value: Float[Array, "v"], goal: Float[Array, "g"]) -> Float[Array, "b"]:
         """Return the angle inside the cone at which a step aims [rad]."""
@@ -184,18 +196,20 @@ class AxisTowards(Row):
 
     def drawn(self, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
         """Return a random goal."""
-        drawn = rng.normal(size=self.numbers)
-        return drawn / np.linalg.norm(drawn[:3])
+        drawn = rng.normal(size=3 + self.cone)
+        return np.append(drawn / np.linalg.norm(drawn[:3]), np.zeros(int(not self.cone)))
 
     def eased(self, start, first, share, places):
         """Interpolate the direction, or the place, from the start to the first goal; a cone is widened instead."""
         if self.cone:
             return _wider(self, start, first, share)
         if self.looks_from_m is not None:
-            there = start[3:6] + np.linalg.norm(first - start[3:6]) * start[:3]
-            return there + share[:, None] * (first - there)
-        turn = least_turn(start[:3], first)
-        return scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
+            there = start[3:6] + np.linalg.norm(first[:3] - start[3:6]) * start[:3]
+            eased = there + share[:, None] * (first[:3] - there)
+        else:
+            turn = least_turn(start[:3], first[:3])
+            eased = scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * turn).apply(np.array(start[:3]))
+        return np.column_stack([eased, np.zeros(len(eased))])
 
     def interpolated(self, goals, share, places=None):
         """Interpolate directions by rotation, and a place that the axis points at linearly."""

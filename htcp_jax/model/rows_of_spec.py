@@ -162,7 +162,7 @@ def _axis_goals(spec: AxisRow, row: Row, placed: PlacedPath) -> Float[np.ndarray
     else:
         direction = placed.in_world(spec, spec.towards)
         directions = np.tile(direction / np.linalg.norm(direction), (len(placed.path), 1))
-    return _with_limit(directions, spec)
+    return _with_limit(directions, spec) if spec.limit else np.column_stack([directions, np.zeros(len(directions))])
 
 
 @goals_of.register

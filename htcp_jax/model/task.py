@@ -8,7 +8,8 @@ numbers of a target's goal. If N - M = 0, the arm has no redundancy and no null 
 and their tolerances.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from htcp_jax.errors import InputError
+from htcp_jax.model.built_in_rows import AxisTowards
 from htcp_jax.model.kinematics import (
     direction_jacobians,
     directions,
@@ -122,6 +124,24 @@ class Task:
         """
         parts = zip(self.parts, self.starts, strict=True)
         return np.max([part.turn(goals[..., at : at + part.numbers], least) for part, at in parts], axis=0)
+
+    @cached_property
+    def for_either(self) -> "Task":
+        """The task of compiled functions that serve axes with and without a cone, see `AxisTowards.is_either`."""
+        parts = (part.either if isinstance(part, AxisTowards) else part for part in self.parts)
+        return replace(self, parts=tuple(parts))
+
+    @property
+    def optional(self) -> int:
+        """Number of equations whose rows may be 0, see `for_either`."""
+        return sum(part.equalities for part in self.parts if isinstance(part, AxisTowards) and part.is_either)
+
+    def own_rows(self, every: TaskLinear) -> TaskLinear:
+        """Return the rows that this task has, of tables of all rows of `for_either` (n, rows, ...)."""
+        pairs = [*zip(self.parts, self.for_either.parts, strict=True)]
+        equations = np.repeat([own.equalities > 0 for own, _ in pairs], [each.equalities for _, each in pairs])
+        others = np.repeat([own.inequalities > 0 for own, _ in pairs], [each.inequalities for _, each in pairs])
+        return TaskLinear(*(each[:, equations] for each in every[:2]), *(each[:, others] for each in every[2:]))
 
     @property
     def starts(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor, devices, lane_function
-from htcp_jax.model import Robot, Task
+from htcp_jax.model import Robot, Task, TaskLinear
 from htcp_jax.settings import Settings
 
 
@@ -50,15 +50,15 @@ def manipulability(
     found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
     if task.rows and known.any():
         lanes = _AtTarget(goals[known], np.broadcast_to(np.asarray(tool_extension_m, float), len(x))[known])
-        slopes = Executor(Scene(robot, (), task), Settings(), threads=devices.cores())(JACOBIAN, lanes, x[known])
-        found[known] = np.linalg.svd(slopes, compute_uv=False)[:, -1]
+        rows = Executor(Scene(robot, (), task), Settings(), threads=devices.cores())(JACOBIAN, lanes, x[known])
+        found[known] = np.linalg.svd(task.own_rows(rows).jacobian, compute_uv=False)[:, -1]
     return found
 
 
-def _jacobian(settings, scene: Scene, lane: _AtTarget, x):
-    """Return the Jacobian of the task's equations at x [m/rad or m/m]."""
-    return scene.task.linear_at(scene.robot, x, lane.target).jacobian
+def _linear(settings, scene: Scene, lane: _AtTarget, x) -> TaskLinear:
+    """Return the task's rows to first order at x."""
+    return scene.task.linear_at(scene.robot, x, lane.target)
 
 
 SIZES = lane_function.STEP._replace(cpu=lane_function.BatchSize(4096, 1))  # a lane takes less time than a call
-JACOBIAN = lane_function.LaneFunction("task_jacobian", _jacobian, SIZES)
+JACOBIAN = lane_function.LaneFunction("task_jacobian", _linear, SIZES, any_cone=True)

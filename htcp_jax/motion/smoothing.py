@@ -233,7 +233,7 @@ class Smoothing:
         count = len(path.target)
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
         flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), linear)
-        rows = self._checker.executor(TASK_ROWS, inputs, flat)
+        rows = self._checker.executor.task.own_rows(self._checker.executor(TASK_ROWS, inputs, flat))
         rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
         requested = np.stack([path.constrained, path.target > path.on_path], axis=1)
         slack = np.where(requested[:, :, None], np.maximum(rows.slack, 0.0), np.inf)

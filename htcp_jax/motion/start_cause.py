@@ -263,7 +263,7 @@ def _row_distances(settings, scene: Scene, where, x):
     return found.distance, found.witness
 
 
-MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.STEP)
+MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.STEP, any_cone=True)
 
 
 def _mm(length_m: float) -> str:

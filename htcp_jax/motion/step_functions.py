@@ -287,19 +287,21 @@ MEASURED: tuple[str, ...] = ("clearance_rows",)  # settings that `measured` read
 _STEP_QP = ("q_weights", "cost_about", "clearance_rows", "aim_above_m")
 
 PREPARE = lane_function.LaneFunction("prepare", prepare, lane_function.STEP, _STEP_QP)
-ADVANCE = lane_function.LaneFunction("advance", advance, lane_function.STEP)
-ADVANCE_SMALLEST = lane_function.LaneFunction("advance", advance_smallest, lane_function.STEP)
+ADVANCE = lane_function.LaneFunction("advance", advance, lane_function.STEP, any_cone=True)
+ADVANCE_SMALLEST = lane_function.LaneFunction("advance", advance_smallest, lane_function.STEP, any_cone=True)
 TRACK_CHUNK = lane_function.LaneFunction(
     "track", track, lane_function.TRACKED, (*_STEP_QP, "max_step_qps", "qp_tolerance")
 )
-CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP)
-MAY_BE_VALID = lane_function.LaneFunction("may_be_valid", may_be_valid, lane_function.STEP)
-SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP)
-TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP)
-TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP)
-PROVE = lane_function.LaneFunction("prove", prove_path, lane_function.TRACKED, refill=by_chunks, remembers=True)
+CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP, any_cone=True)
+MAY_BE_VALID = lane_function.LaneFunction("may_be_valid", may_be_valid, lane_function.STEP, any_cone=True)
+SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP, any_cone=True)
+TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP, any_cone=True)
+TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP, any_cone=True)
+PROVE = lane_function.LaneFunction(
+    "prove", prove_path, lane_function.TRACKED, refill=by_chunks, remembers=True, any_cone=True
+)
 PROVE_POLYNOMIAL = lane_function.LaneFunction(
-    "prove_polynomial", prove_polynomial, lane_function.TRACKED, refill=by_chunks, remembers=True
+    "prove_polynomial", prove_polynomial, lane_function.TRACKED, refill=by_chunks, remembers=True, any_cone=True
 )
 
 

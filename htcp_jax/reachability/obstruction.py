@@ -128,8 +128,8 @@ def obstructions(
     measured = Executor(scene, settings)(BRING, *lanes) if len(x_last) else ()
     found = []
     for k, (row, point, surfaces, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
-        here = jax.tree.map(lambda leaf, k=k: jnp.asarray(leaf[k]), where)
-        own = robots.lengthen_tool(robot, here.tool_extension_m)
+        here = jax.device_put(jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), where))
+        own = _WITH_TOOL(robot, here.tool_extension_m)
         other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
         number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
@@ -145,8 +145,12 @@ def obstructions(
 
 def _distance_from_goal(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
     """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band of the task is violated."""
-    distance, angle = map(float, task.errors(robot, x, goal))
-    return distance, angle, bool(task.slack(task.value(robot, x), goal) >= 0)
+    (distance, angle), slack = _OFF(task, robot, x, goal)
+    return float(distance), float(angle), bool(slack >= 0)
+
+
+_WITH_TOOL = jax.jit(robots.lengthen_tool)
+_OFF = jax.jit(lambda task, *at: (task.errors(*at), task.slack(task.value(*at[:2]), at[2])))
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:

@@ -33,7 +33,7 @@ class _Active(NamedTuple):
     count: Int[Array, ""]  # number of iterations
 
 
-def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
+def solve_step(qp: StepQP, tolerance: float = 1e-8, optional: int = 0) -> QPSolution:
     """Solve one step QP, equation (9).
 
     Infinite joint limits do not add rows.
@@ -41,16 +41,20 @@ def solve_step(qp: StepQP, tolerance: float = 1e-8) -> QPSolution:
     Args:
         qp: The QP.
         tolerance: Allowed violation of a row, in the row's unit.
+        optional: Number of equations that may be 0 = 0, see `Task.optional`.
 
     Returns:
         The step and its status; FAILED if numbers are not finite or the method does not end.
     """
     n = qp.q.shape[0]
-    if qp.A.shape[0] == n:
+    if qp.A.shape[0] == n and not optional:
         return _only_step(qp, tolerance)
-    basis = null_basis(qp.A)
+    basis = null_basis(qp.A, optional)
     y_task = _on_task(qp)
-    inverse = _inverse_factor(product(basis.T, qp.P[:, None] * basis))  # z = inverse.T u
+    H = product(basis.T, qp.P[:, None] * basis)
+    if optional:  # columns that are not in the basis are 0
+        H = H + jnp.diag(jnp.where(jnp.any(basis != 0, axis=0), 0.0, 1.0))
+    inverse = _inverse_factor(H)  # z = inverse.T u
     to_y = product(basis, inverse.T)
     u0 = -product(inverse, product(basis.T, qp.P * y_task + qp.q))
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend
@@ -220,7 +221,8 @@ def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: J
     named = [each for each in own if not each.of_workpiece]
     others = tuple(each for each in own if each.of_workpiece)
     parts = [(each,) for each in named] + ([others] if named and others else [])
-    distance = [float(_clearances(robot, part, where, x)[row - rows]) for part in parts] if len(parts) > 1 else [0.0]
+    every = [np.asarray(_clearances(robot, part, where, x)) for part in parts] if len(parts) > 1 else []
+    distance = [float(own[row - rows]) for own in every] or [0.0]
     if not named or distance.index(min(distance)) == len(named):
         return "the workpiece"
     bodies = _bodies_at(robot, where, x)

@@ -71,7 +71,7 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
             settings, here.x, x, held.error, held.jacobian,
             rows.distance, rows.gradient, aims[aim], lower, upper, held.slack, held.gradient,
         )  # fmt: skip
-        found = solve_step(qp, settings.qp_tolerance)
+        found = solve_step(qp, settings.qp_tolerance, task.optional)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
         # The first iteration measures the result of inverse kinematics, the second x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
@@ -116,7 +116,7 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
 
     def step(_, state):
         _, x, direction, path, steps = state
-        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
+        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian, task.optional)
         within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
         direction = product(basis, within)
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
@@ -165,7 +165,7 @@ def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs,
 
     def step(_, state):
         _, x, path, steps = state
-        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian)
+        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian, task.optional)
         direction = product(basis, product(end - x, basis))
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
@@ -193,12 +193,13 @@ def _empty_path(joints: int, most: int) -> step_functions.State:
 EXTEND = lane_function.LaneFunction(
     "extend", extend, lane_function.TRACKED,
     ("q_weights", "cost_about", "clearance_rows", "aim_above_m", "max_step_qps", "qp_tolerance", "beam_aim_m"),
+    any_cone=True,
 )  # fmt: skip
 SELF_MOTION = lane_function.LaneFunction(
-    "self_motion", self_motion, lane_function.TRACKED, ("self_motion_steps", "self_motion_step_rad")
+    "self_motion", self_motion, lane_function.TRACKED, ("self_motion_steps", "self_motion_step_rad"), any_cone=True
 )
 MOVE_TOWARDS = lane_function.LaneFunction(
-    "move_towards", move_towards, lane_function.TRACKED, ("self_motion_step_rad",)
+    "move_towards", move_towards, lane_function.TRACKED, ("self_motion_step_rad",), any_cone=True
 )
 
 

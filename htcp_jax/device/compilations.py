@@ -1,0 +1,68 @@
+"""Count of the programs that this process compiles, for messages about what a command waits for.
+
+The module does not import JAX, so that a command can show the count from its start.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+class Compilations:
+    """Programs that are requested, being compiled and compiled; those that are loaded from the cache do not count."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._requested, self._begun, self._seconds = 0, dict[object, float](), list[float]()
+
+    @contextmanager
+    def requested(self, count: int) -> Iterator[Callable[[], None]]:
+        """Count programs as requested while the context is open; its value is called when the next one is begun."""
+        left = count
+
+        def begin() -> None:
+            nonlocal left
+            with self._lock:
+                left, self._requested = left - 1, self._requested - 1
+
+        with self._lock:
+            self._requested += count
+        try:
+            yield begin
+        finally:
+            with self._lock:
+                self._requested -= left
+
+    @contextmanager
+    def compiling(self) -> Iterator[None]:
+        """Count a program as being compiled while the context is open."""
+        number, began = object(), time.monotonic()
+        with self._lock:
+            self._begun[number] = began
+        try:
+            yield
+        finally:
+            with self._lock:
+                del self._begun[number]
+                self._seconds.append(time.monotonic() - began)
+
+    @property
+    def text(self) -> str:
+        """Text such as "compiling 3 of 7 programs, about 40 s"; "" if no program is being compiled.
+
+        The time is an estimate: every program takes the mean time of those before.
+        """
+        with self._lock:
+            begun, done, requested = list(self._begun.values()), list(self._seconds), self._requested
+        if not begun:
+            return ""
+        text = f"compiling {len(done) + 1} of {len(done) + len(begun) + requested} programs"
+        if not done:
+            return text
+        each, now = sum(done) / len(done), time.monotonic()
+        left = requested * each + sum(max(each - (now - began), 0.1 * each) for began in begun)
+        return f"{text}, about {max(1, round(left / len(begun)))} s"
+
+
+COMPILATIONS = Compilations()  # those of this process
