@@ -256,12 +256,12 @@ def _naming(point: ScenarioPoint) -> Iterator[None]:
 
 
 def _check_alike(own: _Shared, first: _Shared) -> None:
-    """Check that goals and obstacles have as many numbers as those of the first scenario, as they are stacked.
+    """Check that a task has as many equations as the first scenario's, and goals and obstacles as many numbers.
 
     Raises:
-        InputError: If the numbers differ.
+        InputError: If they differ.
     """
-    if own.inputs.task.numbers != first.inputs.task.numbers:
+    if (own.inputs.task.numbers, own.inputs.task.rows) != (first.inputs.task.numbers, first.inputs.task.rows):
         raise InputError(
             "its task has other kinds of rows than the first scenario's; "
             "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
