@@ -84,7 +84,8 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "file states",
         "ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "FileSection read_yaml validate_model is_limits_file": "readers of files",
-        "TaskRowKind BuiltInRow PointRow AxisRow OrientationRow TCP_ON_PATH path_row": "rows of a job's task",
+        "TaskRowKind BuiltInRow PointRow AxisRow OrientationRow ToolAxisRow TCP_ON_PATH "
+        "path_row": "rows of a job's task",
         "with_arrays": "a job's row of another package, whose own check in numpy is called",
     },
     "model": {

@@ -24,7 +24,7 @@ from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, PointRow, TaskRowKind, path_row
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, path_row
 
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
@@ -173,7 +173,10 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
         if "rotations" in row.uses and workpiece.frames.rotations is None:
             remedy = "add columns qw,qx,qy,qz to its file, or set workpiece.path_angles for columns of angles"
             raise RowError(f": the path has no orientations; {remedy}", f"{k} ({row})")
-        if isinstance(row, PointRow) and row.frame == "path":
+        if "plates" in row.uses and workpiece.frames.plates is None:
+            remedy = "add columns n1x,n1y,n1z,n2x,n2y,n2z, the plates' normals, to its file"
+            raise RowError(f": the path has no plates; {remedy}", f"{k} ({row})")
+        if row.uses >= {"normals", "tangents"}:
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):
                 reason = f": tangent and normal are parallel at point {flat[0] + 1} of the path"

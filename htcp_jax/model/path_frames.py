@@ -22,6 +22,7 @@ class PathFrames(NamedTuple):
     normals: Float[np.ndarray, "T 3"] | None = None  # unit
     tangents: Float[np.ndarray, "T 3"] | None = None  # unit, in the path's direction
     rotations: Float[np.ndarray, "T 3 3"] | None = None  # orientations of the tool's frame
+    plates: Float[np.ndarray, "T 2 3"] | None = None  # unit normals of both plates of a fillet
 
 
 def wall_normals(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

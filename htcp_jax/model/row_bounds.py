@@ -6,6 +6,7 @@ region of each kind of row:
     a point       with f_k = u_k p - o_k, the deviation by goal k = 0, 1 in a direction: min f_k <= w and max f_k >= -w
     an axis       the angle to d_0, to d_1, or to the direction half way between them, is at most the limit
     a frame       the angle of the rotation to R_0, to R_1, or to the rotation half way, is at most the limit
+    tool angles   the axes are in the half-spaces of goal 0, of goal 1, or of the goal half way
     a view        the angle to the direction of the place is at most the limit
     other kinds   error and slack are within the tolerance by goal 0, by goal 1, or by their mean
 
@@ -107,6 +108,25 @@ class Chords(NamedTuple):
         return RowSlack(jnp.max(self.radius - most), jnp.all(safe_norm(off) > self.radius), jnp.inf)
 
 
+class HalfSpaces(NamedTuple):
+    """Allowed region of one or more axes of a frame: c half-spaces of their vectors, by one of k goals.
+
+    Each vector of a half-space has the length 1 if it is applied to one axis; applied to several axes, it is a unit
+    vector fixed to the frame, times a unit vector.
+    """
+
+    vectors: Float[Array, "k c v"]
+    beyond: Float[Array, "k c"]  # distances by which the axes may be outside
+
+    def left(self, motion: FeatureMotion) -> RowSlack:
+        """Return the slack of the axes, as a chord."""
+        half, count = motion.half, self.vectors.shape[2] // 3
+        now, ahead = (jnp.concatenate(each) for each in zip(*map(motion.moving, range(count)), strict=True))
+        inside = product(self.vectors, now) + self.beyond
+        least = inside - jnp.abs(half * product(self.vectors, ahead)) - 0.5 * half * half * motion.turning**2 - ROUNDING
+        return RowSlack(jnp.max(jnp.min(least, axis=1)), jnp.all(jnp.any(inside < 0, axis=1)), jnp.inf)
+
+
 class ViewTarget(NamedTuple):
     """Allowed region of an axis that points at a place."""
 
@@ -151,7 +171,7 @@ class RateBound(NamedTuple):
         return RowSlack(slack / self.rate - safe_norm(jnp.stack(moves)) - ROUNDING_M, slack < 0, jnp.inf)
 
 
-Region = Slabs | Chords | ViewTarget | RateBound
+Region = Slabs | Chords | HalfSpaces | ViewTarget | RateBound
 
 
 def allowed_axes(a: Vector3, b: Vector3, limit: Float[Array, "2"], tolerance_rad: float) -> Chords:

@@ -19,13 +19,13 @@ from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlo
 from htcp_jax.model.robot import ArmFrame, Robot
 from htcp_jax.model.rotations import turned_directions
 from htcp_jax.model.row_bounds import RateBound
-from htcp_jax.model.task_rows import SLACK, Feature, Row, TaskPoint, mixed
+from htcp_jax.model.task_rows import Feature, Row, TaskPoint, eased_offsets, mixed
+from htcp_jax.model.tool_angles import Limits, ToolAngles
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.numerics import safe_norm
 from htcp_jax.spec import (
-    AIM_M,
-    AIM_RAD,
     PATH_VALUES,
+    Angle,
     AxisRow,
     BuiltInRow,
     OrientationRow,
@@ -33,6 +33,7 @@ from htcp_jax.spec import (
     Slot,
     TaskRowKind,
     Template,
+    ToolAxisRow,
     numbers_of,
     template_of,
 )
@@ -50,6 +51,14 @@ class PlacedPath(NamedTuple):
     def along(self, name: str) -> Float[np.ndarray, "T 3"]:
         """Return the path's points [m], tangents or normals in the world, by the name in `PATH_VALUES`."""
         return self.path if name == "place" else getattr(self.workpiece, PATH_VALUES[name]) @ self.rotate.T
+
+    @property
+    def axes(self) -> Float[np.ndarray, "T 3 3"]:
+        """The axes of the path's frame in the world, as rows: x along the tangent, y = z x x, z along the normal."""
+        x, z = self.along("tangent"), self.along("normal")
+        x = x - (x * z).sum(axis=1, keepdims=True) * z
+        x = x / np.linalg.norm(x, axis=1, keepdims=True)
+        return np.stack([x, np.cross(z, x), z], axis=1)
 
     def in_world(self, spec: BuiltInRow, vector: Any, is_place: bool = False) -> Float[np.ndarray, "3"]:
         """Return a position [m] or direction in the world, from its numbers in a row, which are in the row's frame."""
@@ -120,6 +129,22 @@ def _orientation_row(spec: OrientationRow, robot: Robot) -> Row:
     return FrameOrientation(frame.link, frame.columns, spec.limit is not None, _seen_from(spec, robot))
 
 
+@row_of.register
+def _tool_axis_row(spec: ToolAxisRow, robot: Robot) -> Row:
+    name, k, sign = spec.axis_of
+    frame = frame_of(robot, name, "axis")
+    h, x = -sign * np.array(frame.columns[k]), np.array(frame.columns[(k + 1) % 3])
+    columns = tuple(h.tolist()), tuple(x.tolist()), tuple(np.cross(h, x).tolist())
+    work, travel, spin = (_limits(value) for _, value in spec.angles())
+    return ToolAngles(frame._replace(columns=columns), (work, travel, spin))
+
+
+def _limits(value: Angle) -> Limits:
+    if value == "free":
+        return "free"
+    return "range" if isinstance(value, tuple) else "value"
+
+
 def _seen_from(spec: AxisRow | OrientationRow, robot: Robot) -> ArmFrame | None:
     return robot.world if robot.part_moves and spec.is_in_world else None
 
@@ -161,7 +186,8 @@ def _axis_goals(spec: AxisRow, row: Row, placed: PlacedPath) -> Float[np.ndarray
         directions = np.tile(placed.in_world(spec, spec.looks_at_m, is_place=True), (len(placed.path), 1))
     else:
         direction = placed.in_world(spec, spec.towards)
-        directions = np.tile(direction / np.linalg.norm(direction), (len(placed.path), 1))
+        direction = direction / np.linalg.norm(direction)
+        directions = direction @ placed.axes if spec.frame == "path" else np.tile(direction, (len(placed.path), 1))
     return _with_limit(directions, spec) if spec.limit else np.column_stack([directions, np.zeros(len(directions))])
 
 
@@ -174,6 +200,33 @@ def _orientation_goals(spec: OrientationRow, row: Row, placed: PlacedPath) -> Fl
         rotation = placed.rotate @ rotation if spec.frame == "workpiece" else rotation
         rotations = np.tile(rotation, (len(placed.path), 1, 1))
     return _with_limit(rotations.reshape(len(placed.path), 9), spec)
+
+
+@goals_of.register
+def _tool_axis_goals(spec: ToolAxisRow, row: Row, placed: PlacedPath) -> Float[np.ndarray, "T g"]:
+    count, axes = len(placed.path), placed.axes
+    bounds = np.array([(0, 0) if value == "free" else spec.bounds_deg(name) for name, value in spec.angles()])
+    bounds = np.tile(np.deg2rad(bounds).ravel(), (count, 1))
+    if spec.plate is not None:
+        surface = _plate_angles(placed, axes, spec.plate)[:, None]
+        bounds[:, :2] = np.sort(surface - np.sign(surface) * bounds[:, :2], axis=1)
+    offsets = np.zeros((count, row.equalities + row.inequalities))
+    return np.column_stack([np.swapaxes(axes, 1, 2).reshape(count, 9), bounds, offsets])
+
+
+def _plate_angles(placed: PlacedPath, axes: Float[np.ndarray, "T 3 3"], plate: int) -> Float[np.ndarray, "T"]:
+    """Return the work angle of the direction from the seam along one plate of a fillet [rad].
+
+    Args:
+        placed: The path.
+        axes: See `PlacedPath.axes`.
+        plate: Index of the plate, 0 or 1.
+    """
+    t, b, n = np.moveaxis(axes, 1, 0)
+    normals = placed.workpiece.frames.plates @ placed.rotate.T
+    along = np.cross(normals[:, plate], t)
+    along *= np.sign((along * normals[:, 1 - plate]).sum(axis=1, keepdims=True))  # away from the other plate
+    return np.arctan2((along * b).sum(axis=1), (along * n).sum(axis=1))
 
 
 def drawn_goal(spec: TaskRowKind, row: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:
@@ -257,12 +310,7 @@ class GivenRow(Row):
 
     def eased(self, start, first, share, places):
         """Return the first goal with offsets that decrease to 0; with the first offsets the start satisfies the row."""
-        value, goal = jnp.asarray(start), jnp.asarray(first)
-        error, slack = np.asarray(self.error(value, goal)), np.asarray(self.slack(value, goal))
-        short = np.where(slack < 0, 2 * (AIM_RAD if self.angular else AIM_M) - slack, 0.0) + SLACK
-        goals, first_own = np.tile(first, (len(share), 1)), self.template.size
-        goals[:, first_own:] += (1.0 - share)[:, None] * np.append(error, short)
-        return goals
+        return eased_offsets(self, start, first, share)
 
     def interpolated(self, goals, share, places=None):
         """Interpolate the goals' numbers linearly, and tangents and normals by rotation."""
@@ -295,10 +343,7 @@ def _across(spec: PointRow, placed: PlacedPath) -> Float[np.ndarray, "T k 3"]:
         along = placed.in_world(spec, spec.direction)
         return np.tile(np.linalg.svd(along[None])[2][1:], (count, 1, 1))
     if spec.frame == "path":
-        x, z = placed.along("tangent"), placed.along("normal")
-        x = x - (x * z).sum(axis=1, keepdims=True) * z
-        x = x / np.linalg.norm(x, axis=1, keepdims=True)
-        axes = np.stack([x, np.cross(z, x), z], axis=1)
+        axes = placed.axes
     else:
         axes = np.tile(placed.rotate.T if spec.frame == "workpiece" else np.eye(3), (count, 1, 1))
     return axes[:, ["xyz".index(axis) for axis in spec.axes]]

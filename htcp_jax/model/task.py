@@ -256,7 +256,7 @@ class Task:
             if part.turns and all(_turns_with_last(robot, feature) for feature in part.features):
                 axes = [product(rotation, _fixed(robot, feature)[0]) for feature in part.features]
                 value, own = jnp.concatenate(axes), goal[start : start + part.numbers]
-                found += [-part.slack(value, own)[0]] if part.inequalities else []
+                found += [-each for each in part.slack(value, own)] if part.inequalities else []
                 found += [safe_norm(part.error(value, own)) - self.tolerance_rad] if part.equalities else []
         return jnp.max(jnp.stack(found))
 

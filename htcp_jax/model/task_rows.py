@@ -14,6 +14,7 @@ import numpy as np
 from htcp_jax.errors import InputError
 from htcp_jax.model.robot import ArmFrame
 from htcp_jax.model.row_bounds import Region, Slabs
+from htcp_jax.spec import AIM_M, AIM_RAD
 from htcp_jax.types import Array, Float, Triple
 
 XYZ = (0, 1, 2)
@@ -196,6 +197,27 @@ class TaskPoint(Row):
         """Interpolate the position from the start to the first goal; with `places`, return their coordinates."""
         wanted = start + share[:, None] * (first - start)
         return wanted if places is None else places[:, list(self.axes)]
+
+
+def eased_offsets(
+    row: Row, start: Float[np.ndarray, "v"], first: Float[np.ndarray, "g"], share: Float[np.ndarray, "A"]
+) -> Float[np.ndarray, "A g"]:
+    """Return the first goal with other offsets: they decrease from those by which the start satisfies the row to 0.
+
+    A goal of such a row ends with one offset for each error, which is subtracted, and for each slack, which is added.
+
+    Args:
+        row: The row.
+        start: Value of its features at the start.
+        first: Goal at the path's first point.
+        share: Share of the interpolation at each target, 0 at the start [1].
+    """
+    value, goal = jnp.asarray(start), jnp.asarray(first)
+    error, slack = np.asarray(row.error(value, goal)), np.asarray(row.slack(value, goal))
+    short = np.where(slack < 0, 2 * (AIM_RAD if row.angular else AIM_M) - slack, 0.0) + SLACK
+    goals = np.tile(first, (len(share), 1))
+    goals[:, row.numbers - len(error) - len(slack) :] += (1.0 - share)[:, None] * np.append(error, short)
+    return goals
 
 
 def mixed(goals: Float[np.ndarray, "n 2 *g"], share: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n *g"]:

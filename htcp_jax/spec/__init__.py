@@ -7,9 +7,10 @@ jobs that ship with the package. `choices` has choices and defaults that readers
 `strict_model` read YAML and refuse what a model does not have. `ModelSource` names the models that form a robot, `Tool`
 is a mounted tool, and `feed` parses feed rates.
 
-`PointRow`, `AxisRow` and `OrientationRow` are the rows of a task (`task_list`); `TaskRowKind` is their base class, and
-that of rows of other packages. `ObstacleKind` is the base class of other packages' obstacles. `Registry` finds both by
-name, `kinds` splits their instances into numbers and templates, and `given_kinds` reads them from a job.
+`PointRow`, `AxisRow`, `OrientationRow` (`task_list`) and `ToolAxisRow` (`tool_angles`) are the rows of a task;
+`TaskRowKind` is their base class, and that of rows of other packages. `ObstacleKind` is the base class of other
+packages' obstacles. `Registry` finds both by name, `kinds` splits their instances into numbers and templates, and
+`given_kinds` reads them from a job.
 """
 
 import lazy_loader

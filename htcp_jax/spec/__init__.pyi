@@ -10,6 +10,7 @@ from . import (
     task_list,
     tool,
 )
+from .built_in_row import BuiltInRow
 from .choices import (
     CHOSEN_ANGLES,
     GP50,
@@ -44,9 +45,10 @@ from .obstacle_kind import ObstacleKind
 from .registry import NAME, Registry
 from .seam_list import SeamConfig, check_seams
 from .strict_yaml import Quantity, parse_mapping, read_yaml, yaml_text
-from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, path_row
+from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, OrientationRow, PointRow, path_row
 from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
 from .tool import Tool
+from .tool_angles import Angle, ToolAxisRow
 
 __all__ = [
     "AIM_M",
@@ -71,6 +73,7 @@ __all__ = [
     "TASK_ROWS",
     "TCP_ON_PATH",
     "WORLD",
+    "Angle",
     "AxisRow",
     "BuiltInRow",
     "CellConfig",
@@ -93,6 +96,7 @@ __all__ = [
     "TaskRowKind",
     "Template",
     "Tool",
+    "ToolAxisRow",
     "WorkpieceConfig",
     "check_seams",
     "config",

@@ -44,6 +44,7 @@ from htcp_jax.spec.seam_list import SeamConfig, check_seams
 from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
 from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.spec.tool import Tool
+from htcp_jax.spec.tool_angles import ToolAxisRow
 
 FARTHEST = 1e9  # maximum coordinate in a file [m]
 LARGEST = 1e6  # maximum length [m] and joint position; rounding errors of larger values exceed the tolerance
@@ -146,7 +147,7 @@ StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializ
 
 # An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
 Row = Annotated[
-    PointRow | AxisRow | OrientationRow,
+    PointRow | AxisRow | OrientationRow | ToolAxisRow,
     PlainValidator(built_in_row),
     WrapValidator(kind_validator(task_list.TASK_ROWS, TaskRowKind)),
     PlainSerializer(record_of),
@@ -223,7 +224,7 @@ class ModelConfig(strict_model.FileSection):
 
 
 class PathColumnsConfig(strict_model.FileSection):
-    """Columns of a path's file for the coordinates of points, normals, tangents, quaternions and angles."""
+    """Columns of a path's file for the coordinates of points, normals, plates, tangents, quaternions and angles."""
 
     x: PathColumn
     y: PathColumn
@@ -231,6 +232,12 @@ class PathColumnsConfig(strict_model.FileSection):
     nx: PathColumn | None = None
     ny: PathColumn | None = None
     nz: PathColumn | None = None
+    n1x: PathColumn | None = None  # normals of both plates of a fillet
+    n1y: PathColumn | None = None
+    n1z: PathColumn | None = None
+    n2x: PathColumn | None = None
+    n2y: PathColumn | None = None
+    n2z: PathColumn | None = None
     tx: PathColumn | None = None
     ty: PathColumn | None = None
     tz: PathColumn | None = None
@@ -244,7 +251,8 @@ class PathColumnsConfig(strict_model.FileSection):
 
     @model_validator(mode="after")
     def _is_complete(self) -> "PathColumnsConfig":
-        for family in (("nx", "ny", "nz"), ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz"), CHOSEN_ANGLES):
+        plates = "n1x", "n1y", "n1z", "n2x", "n2y", "n2z"
+        for family in (("nx", "ny", "nz"), plates, ("tx", "ty", "tz"), ("qw", "qx", "qy", "qz"), CHOSEN_ANGLES):
             given = [name for name in family if getattr(self, name) is not None]
             if given and len(given) < len(family):
                 raise InputError(f"path_columns has only {', '.join(given)}; all of {', '.join(family)} are needed")

@@ -3,6 +3,7 @@
     task:
       - {point: tcp, on: path}
       - {axis: tcp.z, towards: -path.normal, cone_deg: 60}
+      - {tool_axis: tcp.z, work_angle_deg: 15, travel_angle_deg: [5, 15]}
 
 The names of frames are tcp, or those of sites and bodies of the model. This module contains data only, and does not
 import JAX; `rows_of_spec` computes with the rows.
@@ -14,44 +15,12 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 from htcp_jax.errors import InputError
+from htcp_jax.spec.built_in_row import DIRECTIONS, BuiltInRow, axis_parts, check_axis
 from htcp_jax.spec.kinds import kind_fault
 from htcp_jax.spec.registry import Registry
 from htcp_jax.spec.task_row_kind import TaskRowKind
+from htcp_jax.spec.tool_angles import ToolAxisRow
 from htcp_jax.types import Triple
-
-FRAMES = "world", "workpiece", "path"
-DIRECTIONS = "path.normal", "-path.normal", "path.tangent", "-path.tangent"
-
-
-class BuiltInRow(TaskRowKind):
-    """Base class of the built-in rows.
-
-    Attributes:
-        frame: Frame of positions and directions given as numbers: world or workpiece. If the part moves, the chain's
-            root is the part's link, and world directions are features of the link to which the workshop is fixed.
-        limit: Tolerance of an inequality [m, degrees]; None if the row is an equality.
-        is_in_world: True if the row's position, direction, orientation or constrained axes are in the world's frame.
-        is_of_path: True if the row's axis is the path's normal or tangent, which points in a world direction.
-    """
-
-    sampled: ClassVar[bool] = False
-    is_of_path: bool = False
-    frame: str
-    limit: float | None
-    is_in_world: bool
-    __pydantic_config__: ClassVar = {"allow_inf_nan": False}
-
-    def __str__(self) -> str:
-        return f"{self.name} {getattr(self, self.name)}"
-
-    def _check_frame(self) -> None:
-        if self.frame not in FRAMES:
-            raise InputError(f"frame is {self.frame!r}; valid: {', '.join(FRAMES)}")
-
-    def _check_angles(self, *names: str) -> None:
-        for name in names:
-            if (value := getattr(self, name)) is not None and not 0 <= value <= 180:
-                raise InputError(f"{name} is {value:g}; it must be 0 to 180")
 
 
 @dataclass(frozen=True)
@@ -142,11 +111,8 @@ class AxisRow(BuiltInRow):
 
     def __post_init__(self):
         self._check_frame()
-        name, dot, letter = self.axis.lstrip("-").rpartition(".")
-        if not self.is_of_path and (not name or not dot or letter not in ("x", "y", "z")):
-            raise InputError(
-                f"axis is {self.axis!r}; it must be like tcp.z (a frame's name, a dot and x, y or z) or path.normal"
-            )
+        if not self.is_of_path:
+            check_axis("axis", self.axis, " or path.normal")
         if self.is_of_path and not (isinstance(self.towards, tuple) and self.frame == "world"):
             raise InputError(f"axis is {self.axis}, a direction of the part; set towards: [x, y, z] and frame: world")
         if (self.towards is None) == (self.looks_at_m is None):
@@ -157,8 +123,8 @@ class AxisRow(BuiltInRow):
             raise InputError("towards is zero; it must have a direction")
         if self.cone_deg is not None and self.within_deg is not None:
             raise InputError("cone_deg and within_deg mean the same; omit one")
-        if self.frame == "path":
-            raise InputError("frame: path is not valid here; set towards: path.tangent or path.normal")
+        if self.frame == "path" and not isinstance(self.towards, tuple):
+            raise InputError("frame: path is for towards: [x, y, z], with x along the tangent and z along the normal")
         self._check_angles("cone_deg", "within_deg")
 
     @property
@@ -184,12 +150,13 @@ class AxisRow(BuiltInRow):
     @property
     def axis_of(self) -> tuple[str, int, float]:
         """Name of the axis's frame, the index of the axis, and its sign, 1 or -1."""
-        name, _, letter = self.axis.lstrip("-").rpartition(".")
-        return name, "xyz".index(letter), -1.0 if self.axis.startswith("-") else 1.0
+        return axis_parts(self.axis)
 
     @property
     def uses(self) -> set[str]:
         """Names of the path's directions that the row requires."""
+        if self.frame == "path":
+            return {"normals", "tangents"}
         return {f"{self.along_path.rpartition('.')[2]}s"} if self.along_path else set()
 
 
@@ -239,8 +206,8 @@ class OrientationRow(BuiltInRow):
 
 
 TCP_ON_PATH = PointRow(point="tcp", on="path")  # the paper's task, and the default
-BUILT_IN: dict[str, type[BuiltInRow]] = {row.name: row for row in (PointRow, AxisRow, OrientationRow)}
-# A record of a built-in row has the keys of all three classes.
+BUILT_IN: dict[str, type[BuiltInRow]] = {row.name: row for row in (PointRow, AxisRow, OrientationRow, ToolAxisRow)}
+# A record of a built-in row has the keys of all classes.
 RECORD = {key.name: None if key.default is MISSING else key.default for row in BUILT_IN.values() for key in fields(row)}
 
 
@@ -251,7 +218,7 @@ def built_in_class(raw: Mapping[str, Any]) -> tuple[type[BuiltInRow], dict[str, 
         raw: The row; keys of other classes may have their defaults, as in records.
 
     Raises:
-        InputError: If not exactly one of point, axis and orientation is given, or if a key is of another class.
+        InputError: If not exactly one of point, axis, orientation and tool_axis is given, or for another class's key.
     """
     given = [name for name in BUILT_IN if raw.get(name) is not None]
     if len(given) != 1:

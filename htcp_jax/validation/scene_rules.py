@@ -55,6 +55,7 @@ class WorkpieceData:
     given_normals: Float[np.ndarray, "T 3"] | None
     given_tangents: Float[np.ndarray, "T 3"] | None
     rotations: Float[np.ndarray, "T 3 3"] | None
+    plates: Float[np.ndarray, "T 2 3"] | None = None  # unit normals of both plates of a fillet
     seam_begins: tuple[int, ...] = ()  # first points of the second and of each later seam
 
     @cached_property

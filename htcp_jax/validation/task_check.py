@@ -13,7 +13,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.settings import Settings
-from htcp_jax.spec import TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, TaskRowKind, path_row, with_arrays
+from htcp_jax.spec import (
+    TCP_ON_PATH,
+    AxisRow,
+    BuiltInRow,
+    OrientationRow,
+    PointRow,
+    TaskRowKind,
+    ToolAxisRow,
+    path_row,
+    with_arrays,
+)
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
@@ -49,6 +59,13 @@ class RowCheck(NamedTuple):
         return self.off is None
 
 
+class PathAxes(NamedTuple):
+    """Directions at n places of the path, in the world."""
+
+    frames: Float[np.ndarray, "n 3 3"]  # orientations of the path's frame: x along the tangent, z along the normal
+    plates: Float[np.ndarray, "n 2 3"] | None  # normals of both plates of a fillet; None: the path has none
+
+
 class PartPose(NamedTuple):
     """Pose of the part, and indices of n points on its path."""
 
@@ -56,6 +73,14 @@ class PartPose(NamedTuple):
     translate: Float[np.ndarray, "3"]  # [m]
     workpiece: WorkpieceData
     point: Int[np.ndarray, "n"]
+    between: Float[np.ndarray, "T 3 3"] | None = None  # orientations of the path's frame, if not `path_frames`
+
+    @property
+    def axes(self) -> PathAxes:
+        """The path's frames and plates at the points."""
+        own = path_frames(self.workpiece) if self.between is None else self.between
+        plates = self.workpiece.plates
+        return PathAxes(self.rotate @ own[self.point], None if plates is None else plates[self.point] @ self.rotate.T)
 
     def world(self, row: PointRow | AxisRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
         """Return a position or direction that a row contains as numbers, transformed to the world.
@@ -120,6 +145,11 @@ def part_between(
     if "rotations" in uses and len(point):
         both = Rotation.from_matrix(rotations[after] @ np.swapaxes(rotations[before], 1, 2)).as_rotvec()
         rotations = Rotation.from_rotvec(share[:, None] * both).as_matrix() @ rotations[before]
+    frames = None
+    if {"normals", "tangents"} <= uses and len(point):
+        frames = path_frames(workpiece)
+        both = Rotation.from_matrix(frames[after] @ np.swapaxes(frames[before], 1, 2)).as_rotvec()
+        frames = Rotation.from_rotvec(share[:, None] * both).as_matrix() @ frames[before]
     a, b = workpiece.path[before], workpiece.path[after]
     own = replace(
         workpiece,
@@ -127,8 +157,50 @@ def part_between(
         given_normals=turned(workpiece.normals) if "normals" in uses else None,
         given_tangents=turned(workpiece.tangents) if "tangents" in uses else None,
         rotations=rotations,
+        plates=np.stack([turned(each) for each in np.moveaxis(workpiece.plates, 1, 0)], axis=1)
+        if "plates" in uses
+        else None,
     )
-    return PartPose(rotate, translate, own, np.arange(len(point)))
+    return PartPose(rotate, translate, own, np.arange(len(point)), frames)
+
+
+def path_frames(workpiece: WorkpieceData) -> Float[np.ndarray, "T 3 3"]:
+    """Return the orientations of the path's frame in the part: x along the tangent, z along the normal."""
+    x, z = workpiece.tangents, workpiece.normals
+    y = np.cross(z, x)
+    y = y / np.linalg.norm(y, axis=1, keepdims=True)
+    return np.stack([np.cross(y, z), y, z], axis=2)
+
+
+def tool_angles(
+    row: ToolAxisRow, arm: PosedArm, axes: PathAxes
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Return the work angle, travel angle and spin of a tool [rad], and the lengths of their projections.
+
+    Each angle is that of a unit vector's projection to a plane; a rotation by d in this plane moves the unit vector by
+    the angle asin(length sin d).
+
+    Args:
+        row: The row that names the tool's axis.
+        arm: The arm.
+        axes: The path's directions.
+    """
+    name, k, sign = row.axis_of
+    rotation = arm.frames(name)[1]
+    to_tip, x = sign * rotation[:, :, k], rotation[:, :, (k + 1) % 3]
+    t, b, n = np.moveaxis(axes.frames, 2, 0)
+    across, along = b, n
+    if row.plate is not None:
+        normal, other = axes.plates[:, row.plate], axes.plates[:, 1 - row.plate]
+        along = other - (other * normal).sum(axis=1, keepdims=True) * normal
+        along -= (along * t).sum(axis=1, keepdims=True) * t
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        across = np.cross(t, along)
+        across *= np.sign((across * n).sum(axis=1, keepdims=True))
+    pairs = [((-to_tip * u).sum(axis=1), (-to_tip * v).sum(axis=1)) for u, v in ((across, along), (-t, n))]
+    pairs.append(((x * np.cross(to_tip, t)).sum(axis=1), (x * t).sum(axis=1)))
+    angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)
+    return angles, np.stack([np.hypot(*pair) for pair in pairs], axis=1)
 
 
 def check_rows(
@@ -201,6 +273,9 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 
 
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
+    if isinstance(row, ToolAxisRow):
+        exact, outside = np.rad2deg(_angle_deviations(row, arm, place.axes))
+        return RowCheck(row, np.where(outside > 0, outside + most_deg, exact), most_deg)
     off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
     off = np.rad2deg(off) if row.angular and off is not None else off
     return RowCheck(row, off, limit or (most_deg if row.angular else most_m))
@@ -274,6 +349,54 @@ def _turn_holds_between(
     return good | (_angle(now, _middle(a, b)) <= np.maximum(limit, 0.5 * _angle(a, b)) + tolerance)
 
 
+@_holds_between.register
+def _angles_hold_between(
+    row: ToolAxisRow, arm: PosedArm, places: tuple[PartPose, PartPose], settings: Settings
+) -> Bool[np.ndarray, "n"]:
+    """Return a mask, True where the angles are as required at an end or in the middle of a segment.
+
+    In the middle, each angle may deviate from its centre by half of the rotation between the ends.
+    """
+    a, b = (place.axes for place in places)
+    turn, still = _angle(a.frames, b.frames), np.zeros(len(arm.x))
+    plates = None if a.plates is None or b.plates is None else a.plates + b.plates
+    middle = PathAxes(_middle(a.frames, b.frames), plates)
+    most = settings.tolerance_rad + ROUNDING_M
+    off = [_angle_deviations(row, arm, *each).max(axis=0) for each in ((a, still), (b, still), (middle, 0.5 * turn))]
+    return np.min(off, axis=0) <= most
+
+
+def _angle_deviations(
+    row: ToolAxisRow,
+    arm: PosedArm,
+    axes: PathAxes,
+    wider: Float[np.ndarray, "n"] | None = None,
+) -> Float[np.ndarray, "2 n"]:
+    """Return the largest deviation of an angle with one value, and the largest one outside a range [rad].
+
+    Args:
+        row: The row.
+        arm: The arm.
+        axes: The path's directions.
+        wider: Smallest half width of the ranges [rad]; None: as the row says.
+    """
+    found = np.zeros((2, len(arm.x)))
+    wider = np.zeros(len(arm.x)) if wider is None else wider
+    for (name, value), angle, length in zip(
+        row.angles(), *(each.T for each in tool_angles(row, arm, axes)), strict=True
+    ):
+        if value == "free":
+            continue
+        lower, upper = np.deg2rad(row.bounds_deg(name))
+        off = (angle - 0.5 * (lower + upper) + np.pi) % (2 * np.pi) - np.pi
+        beyond = np.clip(np.abs(off) - 0.5 * (upper - lower), 0.0, 0.5 * np.pi)
+        moved = np.arcsin(np.clip(length * np.sin(beyond), 0.0, 1.0))
+        moved = np.maximum(moved - np.maximum(wider - 0.5 * (upper - lower), 0.0), 0.0)
+        at = found[int(isinstance(value, tuple))]
+        np.maximum(at, np.where(moved > ROUNDING_M, moved, 0.0), out=at)
+    return found
+
+
 def _along_path(row: TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:
     """Return those of the path's points, tangents and normals that a row uses, in the world, by name."""
     own, named = place.workpiece, {"place": "path", "tangent": "tangents", "normal": "normals"}
@@ -302,11 +425,7 @@ def _off_place(row: PointRow, point: np.ndarray, place: PartPose) -> Float[np.nd
     else:
         off = point - place.world(row, row.on, True)
     if row.frame == "path":
-        own = place.workpiece
-        x, z = (directions[place.point] @ place.rotate.T for directions in (own.tangents, own.normals))
-        y = np.cross(z, x)
-        y = y / np.linalg.norm(y, axis=1, keepdims=True)
-        off = np.stack([(off * axis).sum(axis=1) for axis in (np.cross(y, z), y, z)], axis=1)
+        off = np.einsum("nji,nj->ni", place.axes.frames, off)
     elif row.frame == "workpiece":
         off = off @ place.rotate
     return off[:, ["xyz".index(letter) for letter in row.axes]]
@@ -337,6 +456,8 @@ def _required(row: AxisRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray,
     if (name := row.along_path) is not None:
         on_part = place.workpiece.normals if name.endswith("normal") else place.workpiece.tangents
         return (-1.0 if name.startswith("-") else 1.0) * on_part[place.point] @ place.rotate.T
+    if row.frame == "path":
+        return place.axes.frames @ np.array(row.towards)
     direction = place.world(row, row.towards)
     return arm.from_world(direction) if row.frame == "world" else np.tile(direction, (len(arm.x), 1))
 

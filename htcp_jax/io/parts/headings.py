@@ -22,7 +22,8 @@ QUATERNIONS = tuple(
     tuple(f"{name}{part}" for part in "wxyz")
     for name in ("q", "q_", "quat_", "quaternion_", "orientation_", "rotation_")
 )
-DIRECTIONS = (*NORMALS, *TANGENTS, *QUATERNIONS)
+PLATES = (("n1x", "n1y", "n1z", "n2x", "n2y", "n2z"),)  # normals of both plates of a fillet
+DIRECTIONS = (*NORMALS, *PLATES, *TANGENTS, *QUATERNIONS)
 COORDINATE_NAMES = frozenset(name for family in COORDINATES for name in family)
 DIRECTION_NAMES = frozenset(name for family in DIRECTIONS for name in family)
 ANGLES = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}

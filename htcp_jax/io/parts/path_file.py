@@ -16,6 +16,7 @@ from htcp_jax.io.parts.path_table import PathTable
 from htcp_jax.io.parts.seams import SeamRows, name_jumps
 from htcp_jax.model import ONE_POINT_M, PathFrames
 
+PARALLEL = 0.05  # sine of the smallest angle between the plates of a fillet
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
 
 
@@ -44,7 +45,9 @@ def read_path_points(
     unit: str | None = None,
     maker: angles.Maker | None = None,
 ) -> PathPoints:
-    """Read a path's file: points, and the normals, tangents and orientations that its header or the caller names.
+    """Read a path's file: points, and the directions that its header or the caller names.
+
+    If the file has the normals of a fillet's plates, but no normals, these are half way between the plates' normals.
 
     Args:
         path: The file.
@@ -54,8 +57,8 @@ def read_path_points(
         maker: The maker whose order and unit the angles have, see `angles.rotations_of`.
 
     Raises:
-        InputError: As `PathTable` and `angles.rotations_of` do, for a normal or tangent whose length is not 1, and for
-            a quaternion of length 0.
+        InputError: As `PathTable` and `angles.rotations_of` do, for a normal or tangent whose length is not 1, for a
+            quaternion of length 0, and for plates that are parallel.
     """
     table = PathTable(path, chosen, unit)
     for seam in table.seams:
@@ -68,7 +71,11 @@ def read_path_points(
         normals = table.guessed_normals
         if len(wrong := np.flatnonzero(~normals.any(axis=1))):
             raise InputError(f"{path}: the normal at point {wrong[0] + 1} has the length 0; it must be 1")
-    return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path)), table.seams)
+    plates = _plates(table, path)
+    if normals is None and plates is not None:
+        normals = plates.sum(axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path), plates), table.seams)
 
 
 def _family(table: PathTable, families: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
@@ -92,6 +99,20 @@ def _rotations(table: PathTable, maker: angles.Maker | None, path: Path) -> Floa
     if len(wrong := np.flatnonzero(~(np.linalg.norm(quaternions, axis=1) > 1e-9))):
         raise InputError(f"{path}: the quaternion at point {wrong[0] + 1} has the length 0")
     return scipy.spatial.transform.Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+
+
+def _plates(table: PathTable, path: Path) -> Float[np.ndarray, "T 2 3"] | None:
+    """Return the normals of both plates of a fillet; None if the table has none.
+
+    Raises:
+        InputError: For a normal whose length is not 1, and for plates that are parallel.
+    """
+    if (names := _family(table, headings.PLATES)) is None:
+        return None
+    both = [_unit_vectors(table, own, f"normal of plate {k}", path) for k, own in ((1, names[:3]), (2, names[3:]))]
+    if len(flat := np.flatnonzero(np.linalg.norm(np.cross(*both), axis=1) < PARALLEL)):
+        raise InputError(f"{path}: the plates are parallel at point {flat[0] + 1}; their normals must differ")
+    return np.stack(both, axis=1)
 
 
 def _unit_vectors(table: PathTable, names: tuple[str, ...], what: str, path: Path) -> np.ndarray | None:
