@@ -14,7 +14,7 @@ from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, with_own_tool
+from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles, with_own_tool
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
@@ -29,7 +29,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
-from htcp_jax.spec import PlanConfig, TaskRowKind, obstacle_kind
+from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, obstacle_kind
 from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
 from htcp_jax.system import output_files
 
@@ -207,11 +207,24 @@ class Plan:
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
         if mean is not None:
             facts["orientation error"] = f"{mean:.3g} deg mean, {largest:.3g} deg maximum"
+        if self.tool_angles is not None:
+            for name, values in zip(TOOL_ANGLES, self.tool_angles.T, strict=True):
+                known = values[np.isfinite(values)]
+                if len(known):
+                    words = name.removesuffix("_deg").replace("_", " ")
+                    facts[words] = f"{known.min():.4g} to {known.max():.4g} deg"
         as_given = not self.motion_summary.transfer_legs
         if as_given and (turn := self.plans.joint_step[0, 0]) > NOTABLE_RAD:
             begin = "home" if self.scenario.auto_start else "the given start"
             facts["first segment"] = f"{turn:.2f} rad in the joints, from {begin} to the first configuration"
         return facts
+
+    @cached_property
+    def tool_angles(self) -> Float[np.ndarray, "T 3"] | None:
+        """Work angle, travel angle and spin at each target [degrees]; None if the task has no row with tool angles."""
+        known = self.scenario, self.job.task, self.robot, self.workpiece
+        with devices.on(devices.choose(self.device)[0]):
+            return tool_angles(*known, self.plans.x[0])
 
     @property
     def _seam_names(self) -> list[str]:
@@ -363,7 +376,9 @@ class Plan:
         moved = self.motion(retract=retract)
         plan_folder.write_motion_csv(folder / "motion.csv", self.robot, moved, seams)
         known = self.plans, self.manipulability
-        plan_folder.write_trajectory_csv(folder / "trajectory.csv", self.robot, *known, seams=seams)
+        plan_folder.write_trajectory_csv(
+            folder / "trajectory.csv", self.robot, *known, seams=seams, angles=self.tool_angles
+        )
         plan_folder.write_trajectory_npz(folder / "trajectory.npz", self.robot, self.plans)
         output_files.write_json(folder / "summary.json", self.record())
         self.figure().savefig(folder / "plan.png", pil_kwargs={"compress_level": 1})  # in a fifth of the time

@@ -18,7 +18,7 @@ from htcp_jax.model.goals import task_of, with_goals
 from htcp_jax.model.kinematics import link_poses, tcp_pose
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.settings import Settings
-from htcp_jax.spec import GP50, AxisRow, BuiltInRow, OrientationRow, PointRow
+from htcp_jax.spec import GP50, AxisRow, BuiltInRow, OrientationRow, PointRow, ToolAxisRow
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import PartPose, hold_between
@@ -81,6 +81,10 @@ def rows() -> tuple[BuiltInRow, ...]:
         AxisRow(axis="tcp.z", looks_at_m=ahead),
         OrientationRow(orientation="path"),
         OrientationRow(orientation="path", within_deg=3.0),
+        ToolAxisRow(tool_axis="tcp.z", work_angle_deg=(-2.0, 3.0), travel_angle_deg=(-1.0, 1.0)),
+        ToolAxisRow(tool_axis="tcp.z", travel_angle_deg=0.0, spin_deg=(-1.0, 2.0)),
+        ToolAxisRow(tool_axis="tcp.z", work_angle_deg=0.0, travel_angle_deg=0.0, spin_deg=0.0),
+        ToolAxisRow(tool_axis="tcp.z", work_angle_deg=(43.0, 47.0), work_angle_from="plate_2"),
     )
 
 
@@ -88,7 +92,8 @@ def rows() -> tuple[BuiltInRow, ...]:
 def held():
     """The task, its goals at the configurations, and the part whose path the tool follows with them."""
     T, parts = tool(), [task_of([row], made_once.robot()).parts[0] for row in rows()]
-    frames = PathFrames(-T[:, :3, 2], T[:, :3, 0], T[:, :3, :3])
+    plates = np.stack([-T[:, :3, 2] + T[:, :3, 1], -T[:, :3, 2] - T[:, :3, 1]], axis=1) / np.sqrt(2)
+    frames = PathFrames(-T[:, :3, 2], T[:, :3, 0], T[:, :3, :3], plates)
     here = {"pivot": np.zeros(3), "neutral_translation": np.zeros(3)}
     part = Workpiece("path", made_once.duct().cloud[::1000], T[:, :3, 3], interior="none", frames=frames, **here)
     scenario = make_scenario(made_once.robot(), part, made_once.START, rotation=(0.0, 0.0))

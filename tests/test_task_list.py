@@ -73,7 +73,7 @@ def test_built_in_rows_are_found_by_name_like_those_of_other_packages():
 def test_a_record_of_a_row_has_the_keys_of_all_classes_and_is_read_back():
     job = load_config({"task": [ON_PATH, CONE, {"orientation": [1, 0, 0, 0]}]})
     record = job.model_dump(mode="json")["task"]
-    assert {len(row) for row in record} == {16} and record[1]["axes"] == "xyz" and record[1]["point"] is None
+    assert {len(row) for row in record} == {21} and record[1]["axes"] == "xyz" and record[1]["point"] is None
     assert load_config({"task": record}).task == job.task
 
 
@@ -140,7 +140,7 @@ PLANE = {"point": "tcp", "on": "plane", "through_m": [0, 0, 0], "normal": [0, 0,
         ([{**ON_PATH, "cone_deg": 3}], "cone_deg is not a key of a point row; valid: offset_m, on"),
         ([{**ON_PATH, "within_m": 0}], "within_m is 0; it must be more than 0"),
         ([{**ON_PATH, "to": 0}], "unknown key task.1.to"),
-        ([{**ON_PATH, "axis": "tcp.z"}], "orientation; this row has point and axis"),
+        ([{**ON_PATH, "axis": "tcp.z"}], "tool_axis; this row has point and axis"),
         ([{"orientation": [0, 0, 0, 0]}], "orientation is a quaternion of length 0"),
         ([{"orientation": "path"}], "the path has no orientations; add columns qw,qx,qy,qz to its file"),
         ([ON_PATH, {"point": "tcp", "on": [1, 0, 1]}], r"task.2 \(point tcp\) repeats or contradicts an earlier row"),

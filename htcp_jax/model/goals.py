@@ -18,13 +18,13 @@ from htcp_jax.model.arm_features import point_of
 from htcp_jax.model.built_in_rows import AxisTowards, FrameOrientation, PointAlong
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import frame_turns
-from htcp_jax.model.rows_of_spec import PlacedPath, drawn_goal, goals_of, row_of
+from htcp_jax.model.rows_of_spec import PlacedPath, angles_of, drawn_goal, goals_of, row_of
 from htcp_jax.model.scenario import Scenario
 from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, path_row
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, ToolAxisRow, path_row
 
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
@@ -127,6 +127,38 @@ def with_goals(
     return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
 
+def tool_angles(
+    scenario: Scenario,
+    rows: Sequence[TaskRowKind],
+    robot: Robot,
+    workpiece: Workpiece,
+    x: Float[np.ndarray, "T N"],
+) -> Float[np.ndarray, "T 3"] | None:
+    """Return the work angle, the travel angle and the spin of the tool at a plan's targets [degrees].
+
+    They are those of the task's first row with tool angles; None without such a row. NaN before the path, and where a
+    configuration is NaN. A work angle from a plate is measured as in the row.
+
+    Args:
+        scenario: The scenario; its last targets are the points of the path.
+        rows: Rows of the task list.
+        robot: The robot without the scenario's tool extension.
+        workpiece: The scenario's workpiece.
+        x: Configurations at the scenario's targets [rad or m].
+    """
+    row = next((row for row in rows if isinstance(row, ToolAxisRow)), None)
+    if row is None:
+        return None
+    count = len(workpiece.path)
+    part = replace(row_of(row, robot), limits=("range", "range", "range"))
+    rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]
+    placed = PlacedPath(rotate, translate, scenario.targets[-count:], workpiece)
+    values = _VALUES(with_tool(robot, float(scenario.tool_extension_m)), jnp.asarray(x[-count:]), Task((part,)))
+    found = np.full((len(x), 3), np.nan)
+    found[-count:] = np.rad2deg(angles_of(row, np.asarray(values), placed))
+    return found
+
+
 def check_constant_angles(
     scenario: Scenario, rows: Sequence[TaskRowKind], task: Task, robot: Robot, workpiece: Workpiece
 ) -> None:
@@ -161,6 +193,7 @@ def _jacobian_rank(robot: Robot, rows: Sequence[TaskRowKind], task: Task) -> int
 
 
 _VALUE = jax.jit(lambda robot, x, task: task.value(robot, x), static_argnums=2)
+_VALUES = jax.jit(jax.vmap(lambda robot, x, task: task.value(robot, x), (None, 0, None)), static_argnums=2)
 _SLOPES = jax.jit(lambda robot, x, task: task.jacobian(robot, x), static_argnums=2)
 _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).jacobian, static_argnums=3)
 

@@ -122,8 +122,9 @@ class HalfSpaces(NamedTuple):
         """Return the slack of the axes, as a chord."""
         half, count = motion.half, self.vectors.shape[2] // 3
         now, ahead = (jnp.concatenate(each) for each in zip(*map(motion.moving, range(count)), strict=True))
-        inside = product(self.vectors, now) + self.beyond
-        least = inside - jnp.abs(half * product(self.vectors, ahead)) - 0.5 * half * half * motion.turning**2 - ROUNDING
+        inside, speed = (jnp.sum(self.vectors * vector[None, None], axis=2) for vector in (now, ahead))
+        inside = inside + self.beyond
+        least = inside - half * jnp.abs(speed) - 0.5 * half * half * motion.turning**2 - ROUNDING
         return RowSlack(jnp.max(jnp.min(least, axis=1)), jnp.all(jnp.any(inside < 0, axis=1)), jnp.inf)
 
 

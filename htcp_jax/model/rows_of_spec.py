@@ -214,6 +214,25 @@ def _tool_axis_goals(spec: ToolAxisRow, row: Row, placed: PlacedPath) -> Float[n
     return np.column_stack([np.swapaxes(axes, 1, 2).reshape(count, 9), bounds, offsets])
 
 
+def angles_of(spec: ToolAxisRow, value: Float[np.ndarray, "T 9"], placed: PlacedPath) -> Float[np.ndarray, "T 3"]:
+    """Return work angle, travel angle and spin [rad] of a tool at the T points of a path.
+
+    Args:
+        spec: The row as written in a job.
+        value: Directions h, x and y of the tool, see `ToolAngles`.
+        placed: The path.
+    """
+    axes = placed.axes
+    t, b, n = np.moveaxis(axes, 1, 0)
+    h, x, y = np.moveaxis(value.reshape(-1, 3, 3), 1, 0)
+    pairs = [((p * u).sum(axis=1), (q * v).sum(axis=1)) for p, u, q, v in ((h, b, h, n), (h, -t, h, n), (y, t, x, t))]
+    angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)
+    if spec.plate is not None:
+        surface = _plate_angles(placed, axes, spec.plate)
+        angles[:, 0] = np.abs(surface) - np.sign(surface) * angles[:, 0]
+    return angles
+
+
 def _plate_angles(placed: PlacedPath, axes: Float[np.ndarray, "T 3 3"], plate: int) -> Float[np.ndarray, "T"]:
     """Return the work angle of the direction from the seam along one plate of a fillet [rad].
 

@@ -18,6 +18,7 @@ from htcp_jax.runs import tables
 from htcp_jax.runs.identity import other_format
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.summary import Summary
+from htcp_jax.spec import TOOL_ANGLES
 from htcp_jax.status import Kind, SegmentStatus, Status
 from htcp_jax.system import files, output_files
 
@@ -80,6 +81,7 @@ def write_trajectory_csv(
     manipulability: Float[np.ndarray, "T"],
     row: int = 0,
     seams: Sequence[str] | None = None,
+    angles: Float[np.ndarray, "T 3"] | None = None,
 ) -> None:
     """Write a plan as a CSV file with one line per target.
 
@@ -92,6 +94,7 @@ def write_trajectory_csv(
         manipulability: Manipulability at each target [m/rad]; NaN if unknown.
         row: Row of the scenario in `plans`.
         seams: Name of each target's seam; None: no such column.
+        angles: Work angle, travel angle and spin of the tool at each target [degrees]; None: no such columns.
 
     Raises:
         InputError: If the file cannot be written.
@@ -115,6 +118,7 @@ def write_trajectory_csv(
         "segment_clearance_m": plans.segment_clearance[row],
         "manipulability_m_rad": manipulability,
     }
+    columns |= {} if angles is None else dict(zip(TOOL_ANGLES, angles.T, strict=True))
     columns |= {} if seams is None else {"seam": seams}
     _write_csv(file, columns)
 

@@ -48,7 +48,7 @@ from .strict_yaml import Quantity, parse_mapping, read_yaml, yaml_text
 from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, OrientationRow, PointRow, path_row
 from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
 from .tool import Tool
-from .tool_angles import Angle, ToolAxisRow
+from .tool_angles import TOOL_ANGLES, Angle, ToolAxisRow
 
 __all__ = [
     "AIM_M",
@@ -72,6 +72,7 @@ __all__ = [
     "SOURCES",
     "TASK_ROWS",
     "TCP_ON_PATH",
+    "TOOL_ANGLES",
     "WORLD",
     "Angle",
     "AxisRow",

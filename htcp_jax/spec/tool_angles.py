@@ -20,7 +20,7 @@ from htcp_jax.spec.built_in_row import BuiltInRow, axis_parts, check_axis
 
 Angle = Literal["free"] | float | tuple[float, float]  # any angle, one angle, or a range [degrees]
 PLATES = "plate_1", "plate_2"
-ANGLES = "work_angle_deg", "travel_angle_deg", "spin_deg"
+TOOL_ANGLES = "work_angle_deg", "travel_angle_deg", "spin_deg"
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ToolAxisRow(BuiltInRow):
             if not isinstance(value, tuple) and name != "spin_deg" and not least < value < most:
                 raise InputError(f"{name} is {value:g}; it must be between {least} and {most}")
         if all(value == "free" for _, value in self.angles()):
-            raise InputError(f"all angles are free; set at least one of {', '.join(ANGLES)}")
+            raise InputError(f"all angles are free; set at least one of {', '.join(TOOL_ANGLES)}")
         if self.work_angle_from not in ("normal", *PLATES):
             raise InputError(f"work_angle_from is {self.work_angle_from!r}; valid: normal, {', '.join(PLATES)}")
         if self.work_angle_from != "normal" and self.work_angle_deg == "free":
@@ -68,7 +68,7 @@ class ToolAxisRow(BuiltInRow):
 
     def angles(self) -> Iterator[tuple[str, Angle]]:
         """Return the names of the three angles, and what the row says about them."""
-        return ((name, getattr(self, name)) for name in ANGLES)
+        return ((name, getattr(self, name)) for name in TOOL_ANGLES)
 
     def bounds_deg(self, name: str) -> tuple[float, float]:
         """Return the smallest and the largest allowed value of an angle that is not free [degrees]."""

@@ -1,0 +1,186 @@
+"""Work angle, travel angle and spin of a tool: their signs, limits, gradients, and goals along a path."""
+
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import made_once
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from htcp_jax.errors import InputError
+from htcp_jax.io.parts.path_file import read_path_points
+from htcp_jax.jobs import load_config
+from htcp_jax.jobs.build import scene, task_of_job
+from htcp_jax.model import PathFrames, Task
+from htcp_jax.model.goals import task_of
+from htcp_jax.spec import ToolAxisRow
+
+POSES = 1000
+ON_PATH = {"point": "tcp", "on": "path"}
+EVERY = [
+    ("value", "value", "range"),
+    ("range", "value", "value"),
+    ("value", "free", "free"),
+    ("range", "range", "range"),
+]
+
+
+def angles_of(tool: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """The angles of a tool [rad], by their definition; columns of the tool are x, y, z, of the frame t, n x t, n."""
+    (t, b, n), (x, _, to_tip) = frame.T, tool.T
+    h = -to_tip
+    ahead = t - (t @ to_tip) * to_tip
+    across = np.cross(to_tip, ahead)
+    return np.array([np.arctan2(h @ b, h @ n), np.arctan2(-(h @ t), h @ n), np.arctan2(x @ across, x @ ahead)])
+
+
+def leaning(work: float, travel: float, spin: float) -> np.ndarray:
+    """The tool with these angles [rad] on a path along x whose normal is z."""
+    tip = -np.array([-np.tan(travel), np.tan(work), 1.0])
+    tip /= np.linalg.norm(tip)
+    ahead = np.array([1.0, 0.0, 0.0]) - tip[0] * tip
+    ahead /= np.linalg.norm(ahead)
+    x = np.cos(spin) * ahead + np.sin(spin) * np.cross(tip, ahead)
+    return np.stack([x, np.cross(tip, x), tip], axis=1)
+
+
+def row_and_goals(limits, rng) -> tuple:
+    """A row with these kinds of limits, tools, goals near their angles, and True where the angles are allowed."""
+    spec = {"value": 0.0, "range": (-1.0, 1.0), "free": "free"}
+    row = task_of([ToolAxisRow("tcp.z", *(spec[limit] for limit in limits))], made_once.robot()).parts[0]
+    angles = rng.uniform((-1.2, -1.2, -3.0), (1.2, 1.2, 3.0), (POSES, 3))
+    frames = Rotation.random(POSES, rng=rng).as_matrix()
+    tools = frames @ np.array([leaning(*each) for each in angles])
+    np.testing.assert_allclose([angles_of(*pair) for pair in zip(tools, frames, strict=True)], angles, atol=1e-9)
+    off = rng.uniform(-0.2, 0.2, (POSES, 3)) * (rng.random((POSES, 3)) < 0.5)
+    half = np.array([0.1 if limit == "range" else 0.0 for limit in limits])
+    bounds = (angles + off)[..., None] + np.stack([-half, half], axis=1)
+    goals = np.column_stack([frames.reshape(-1, 9), bounds.reshape(-1, 6), np.zeros((POSES, row.numbers - 15))])
+    limited = np.array([limit != "free" for limit in limits])
+    return row, tools, goals, (np.abs(off) <= half + 1e-12)[:, limited].all(axis=1)
+
+
+def values(row, tools: np.ndarray) -> jnp.ndarray:
+    """The features' coordinates for tools whose frame is the TCP's."""
+    return jnp.asarray(np.concatenate([tools @ np.array(feature.vector) for feature in row.features], axis=1))
+
+
+@pytest.mark.parametrize("limits", EVERY)
+def test_angles_and_limits_are_those_of_the_definition_at_a_thousand_poses(limits):
+    row, tools, goals, good = row_and_goals(limits, np.random.default_rng(2))
+    value, goals = values(row, tools), jnp.asarray(goals)
+    error, slack = jax.jit(jax.vmap(lambda v, g: (row.error(v, g), row.slack(v, g))))(value, goals)
+    found = (np.linalg.norm(error, axis=1) < 1e-9) & (np.asarray(slack) > -1e-9).all(axis=1)
+    assert (found == good).all() and 0.05 < good.mean() < 0.95
+    region = jax.jit(jax.vmap(lambda g: row.between(jnp.stack([g, g]), 0.0, 1e-9)))(goals)
+    inside = np.einsum("nkcv,nv->nkc", region.vectors, value) + region.beyond
+    assert ((inside > -1e-9).all(axis=2).any(axis=1) == good).all()
+
+
+@pytest.mark.parametrize("limits", EVERY)
+def test_gradients_are_those_of_differences(limits):
+    row, tools, goals, _ = row_and_goals(limits, np.random.default_rng(3))
+    value, goals, h = values(row, tools)[:50], jnp.asarray(goals[:50]), 1e-6
+    both = jax.jit(jax.vmap(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)])))
+    slopes = jax.jit(jax.vmap(jax.jacfwd(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)]))))
+    exact = np.asarray(slopes(value, goals))
+    for k in range(row.size):
+        step = h * np.tile(np.eye(row.size)[k], (len(value), 1))
+        np.testing.assert_allclose((both(value + step, goals) - both(value - step, goals)) / (2 * h), exact[:, :, k],
+                                   atol=1e-7)  # fmt: skip
+
+
+def made(row: dict, frames: PathFrames | None = None, path=None):
+    """The task and the goals on the path of a job with this row, on the duct's path or another one's file."""
+    given = {"task": [ON_PATH, row]}
+    if path is not None:
+        given["workpiece"] = {"cloud": "none", "path": str(path)}
+    job = load_config(given)
+    robot, _, scenario = scene(job)
+    task = task_of_job(job, robot)
+    return task, scenario.task_goals[int(scenario.on_path) :, 3:]
+
+
+def line(folder, name: str, *directions: str):
+    """A path's file along y, each row with the same directions."""
+    columns = {"n": "nx,ny,nz", "t": "tx,ty,tz", "p": "n1x,n1y,n1z,n2x,n2y,n2z"}
+    names = ["x,y,z", *(columns[each[0]] for each in directions)]
+    rows = [",".join([f"1.0,{0.01 * k},0.5", *(each[2:] for each in directions)]) for k in range(4)]
+    file = folder / name
+    file.write_text("\n".join([",".join(names), *rows]) + "\n")
+    return file
+
+
+def test_a_path_turned_about_its_normal_with_the_angles_exchanged_allows_the_same_tools(tmp_path):
+    plain, turned = line(tmp_path, "a.csv", "n:0,0,1", "t:0,1,0"), line(tmp_path, "b.csv", "n:0,0,1", "t:-1,0,0")
+    rows = ({"work_angle_deg": [10, 20], "travel_angle_deg": [-5, 12]},
+            {"work_angle_deg": [-5, 12], "travel_angle_deg": [-20, -10]})  # fmt: skip
+    found = []
+    tools = values(task_of([ToolAxisRow("tcp.z", (10.0, 20.0))], made_once.robot()).parts[0],
+                   Rotation.random(POSES, rng=np.random.default_rng(4)).as_matrix())  # fmt: skip
+    for file, row in zip((plain, turned), rows, strict=True):
+        task, goals = made({"tool_axis": "tcp.z", **row}, path=file)
+        slack = jax.jit(jax.vmap(task.parts[1].slack, (0, None)))(tools, jnp.asarray(goals[0]))
+        found.append(np.sort(slack, axis=1))
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
+def test_zero_from_the_bisector_is_45_degrees_from_a_plate_of_a_right_angle(tmp_path):
+    file = line(tmp_path, "fillet.csv", "p:0,0,1,1,0,0", "t:0,1,0")
+    np.testing.assert_allclose(read_path_points(file).frames.normals, np.tile([0.5**0.5, 0, 0.5**0.5], (4, 1)))
+    _, middle = made({"tool_axis": "tcp.z", "work_angle_deg": [-1, 3]}, path=file)
+    for plate, bounds in (("plate_1", [44, 48]), ("plate_2", [42, 46])):
+        _, goals = made({"tool_axis": "tcp.z", "work_angle_deg": bounds, "work_angle_from": plate}, path=file)
+        np.testing.assert_allclose(goals, middle, atol=1e-12)
+
+
+def test_a_direction_in_the_paths_frame_is_x_along_the_tangent_and_z_along_the_normal(tmp_path):
+    file = line(tmp_path, "a.csv", "n:0,0,1", "t:0,1,0")
+    _, goals = made({"axis": "tcp.z", "towards": [3, 0, -4], "frame": "path"}, path=file)
+    np.testing.assert_allclose(goals[:, :3], np.tile([0, 0.6, -0.8], (4, 1)), atol=1e-12)
+
+
+def test_goals_between_targets_turn_with_the_path():
+    row = task_of([ToolAxisRow("tcp.z", 5.0, (0.0, 4.0))], made_once.robot()).parts[0]
+    frames = Rotation.from_rotvec([[0, 0, 0], [0, 0, np.pi / 6]]).as_matrix().reshape(2, 9)
+    goals = np.column_stack([frames, np.tile(np.arange(6.0), (2, 1)), np.zeros((2, row.numbers - 15))])[None]
+    (half,) = row.interpolated(goals, np.array([0.5]))
+    np.testing.assert_allclose(half[:9].reshape(3, 3), Rotation.from_rotvec([0, 0, np.pi / 12]).as_matrix())
+    np.testing.assert_allclose(np.rad2deg(row.turn(goals)), [30.0])
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ({"work_angle_deg": [20, 10]}, "work_angle_deg is the empty range 20 to 10; the first angle must be less"),
+        ({"travel_angle_deg": [5, 5]}, "travel_angle_deg is the empty range 5 to 5"),
+        ({"work_angle_deg": 90}, "work_angle_deg is 90; it must be between -90 and 90"),
+        ({"travel_angle_deg": [-91, 0]}, "travel_angle_deg is -91 to 0; it must be -90 to 90, or free"),
+        ({"spin_deg": [-100, 100]}, "spin_deg is a range of 200 degrees; at most 180 are possible, or free"),
+        ({}, "all angles are free; set at least one of work_angle_deg, travel_angle_deg, spin_deg"),
+        ({"work_angle_deg": 45, "work_angle_from": "plate"}, "valid: normal, plate_1, plate_2"),
+        ({"travel_angle_deg": 5, "work_angle_from": "plate_1"}, "work_angle_from would have no effect"),
+        ({"work_angle_deg": 45, "work_angle_from": "plate_1"}, "task.2 .*: the path has no plates; add columns n1x"),
+        ({"tool_axis": "tcp", "work_angle_deg": 5}, "tool_axis is 'tcp'; it must be like tcp.z"),
+        ({"work_angle_deg": 5, "cone_deg": 3}, "cone_deg is not a key of a tool_axis row; valid: work_angle_deg"),
+    ],
+)
+def test_angles_that_cannot_be_are_refused_in_one_line(row, message):
+    with pytest.raises(InputError, match=message) as refused:
+        made({"tool_axis": "tcp.z", **row})
+    assert "\n" not in str(refused.value)
+
+
+def test_angles_on_a_path_without_normals_are_refused(tmp_path):
+    with pytest.raises(InputError, match="normals"):
+        made({"tool_axis": "tcp.z", "work_angle_deg": 5}, path=line(tmp_path, "bare.csv"))
+
+
+def test_every_combination_of_angles_is_a_task_of_full_rank():
+    spec = {"value": 3.0, "range": (1.0, 5.0), "free": "free"}
+    for limits in product(spec, repeat=3):
+        if set(limits) != {"free"}:
+            task = task_of([ToolAxisRow("tcp.z", *(spec[limit] for limit in limits))], made_once.robot())
+            assert isinstance(task, Task) and task.rows == limits.count("value")
