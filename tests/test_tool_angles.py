@@ -13,6 +13,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.parts.path_file import read_path_points
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
+from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.model import PathFrames, Task
 from htcp_jax.model.goals import task_of
 from htcp_jax.spec import ToolAxisRow
@@ -184,3 +185,10 @@ def test_every_combination_of_angles_is_a_task_of_full_rank():
         if set(limits) != {"free"}:
             task = task_of([ToolAxisRow("tcp.z", *(spec[limit] for limit in limits))], made_once.robot())
             assert isinstance(task, Task) and task.rows == limits.count("value")
+
+
+def test_an_angle_is_data_so_scenarios_of_one_grid_share_their_programs():
+    row = {"tool_axis": "tcp.z", "work_angle_deg": 5.0}
+    batch = load_sweep({"grid": [{"task.2.work_angle_deg": [0, 10, 20]}]}, {"task": [ON_PATH, row]}).batch()
+    assert len(batch.cells) == 1
+    np.testing.assert_allclose(np.rad2deg(batch.scenarios.task_goals[:, -1, 12]), [0, 10, 20])

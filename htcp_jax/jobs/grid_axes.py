@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.spec import AUTO, DEPENDENT, FILES, SOURCES, PlanConfig, strict_model
+from htcp_jax.spec import AUTO, DEPENDENT, FILES, SOURCES, TOOL_ANGLES, PlanConfig, strict_model
 
 MOST = 1_000_000  # maximum number of scenarios in a sweep
 # Keys that have columns in the tables of every run. Other keys have columns only in runs that vary them.
@@ -26,7 +26,13 @@ PARAMETERS = (
 )
 NO_AXIS = "method", "program", "ray"  # keys that cannot vary: methods are listed apart; the others do not affect plans
 MOST_ROWS = 8  # axes may vary this many rows of a task
-OF_A_ROW = {"cone_deg": 0.0, "within_deg": 0.0, "within_m": 0.0, "offset_m": (0.0, 0.0, 0.0)}  # may vary
+OF_A_ROW = {  # may vary
+    "cone_deg": 0.0,
+    "within_deg": 0.0,
+    "within_m": 0.0,
+    "offset_m": (0.0, 0.0, 0.0),
+    **dict.fromkeys(TOOL_ANGLES, 0.0),
+}
 FILE_KEYS = {".".join(key): words for key, words in FILES.items()}
 LISTS = "task", "cell.clouds", "cell.fixtures", "cell.obstacles"  # only keys of their elements may vary
 LOCKED = "robot.locked"  # a mapping whose keys are names of joints
