@@ -14,7 +14,7 @@ from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
 from htcp_jax.jobs import load_config, source_of, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles, with_own_tool
+from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles_at, with_own_tool
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
@@ -29,7 +29,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
-from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, obstacle_kind
+from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, obstacle_kind, tool_axis_row
 from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
 from htcp_jax.system import output_files
 
@@ -224,7 +224,7 @@ class Plan:
         """Work angle, travel angle and spin at each target [degrees]; None if the task has no row with tool angles."""
         known = self.scenario, self.job.task, self.robot, self.workpiece
         with devices.on(devices.choose(self.device)[0]):
-            return tool_angles(*known, self.plans.x[0])
+            return tool_angles_at(*known, self.plans.x[0])
 
     @property
     def _seam_names(self) -> list[str]:
@@ -331,6 +331,7 @@ class Plan:
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
         from htcp_jax.viewer import draw_plan, glyphs  # here, as matplotlib takes half a second to import
 
+        row = tool_axis_row(self.job.task)
         return draw_plan(
             self.robot,
             self.workpiece,
@@ -340,6 +341,7 @@ class Plan:
             obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
+            angles=None if row is None or self.tool_angles is None else (row, self.tool_angles),
         )
 
     def record(self) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
@@ -14,9 +15,11 @@ from htcp_jax.io.parts.path_file import read_path_points
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import PathFrames, Task
+from htcp_jax.model import Task, tool_angles_at
 from htcp_jax.model.goals import task_of
+from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.spec import ToolAxisRow
+from htcp_jax.viewer.angle_strip import draw_angles
 
 POSES = 1000
 ON_PATH = {"point": "tcp", "on": "path"}
@@ -93,7 +96,7 @@ def test_gradients_are_those_of_differences(limits):
                                    atol=1e-7)  # fmt: skip
 
 
-def made(row: dict, frames: PathFrames | None = None, path=None):
+def made(row: dict, path=None):
     """The task and the goals on the path of a job with this row, on the duct's path or another one's file."""
     given = {"task": [ON_PATH, row]}
     if path is not None:
@@ -192,3 +195,27 @@ def test_an_angle_is_data_so_scenarios_of_one_grid_share_their_programs():
     batch = load_sweep({"grid": [{"task.2.work_angle_deg": [0, 10, 20]}]}, {"task": [ON_PATH, row]}).batch()
     assert len(batch.cells) == 1
     np.testing.assert_allclose(np.rad2deg(batch.scenarios.task_goals[:, -1, 12]), [0, 10, 20])
+
+
+def test_a_plans_angles_are_those_of_the_definition_at_each_target_of_the_path(tmp_path):
+    """Also the work angle from plate 2, which is 45 degrees minus that from the bisector."""
+    file = line(tmp_path, "fillet.csv", "p:0,0,1,1,0,0", "t:0,1,0")
+    job = load_config({"workpiece": {"cloud": "none", "path": str(file)}})
+    robot, part, scenario = scene(job)
+    x = made_once.configurations_near(made_once.START, len(scenario.targets), 0.3)
+    found = {plate: tool_angles_at(scenario, [ToolAxisRow("tcp.z", 45.0, work_angle_from=plate)], robot, part, x)
+             for plate in ("normal", "plate_2")}  # fmt: skip
+    frame = np.array([[0, 1, 0], [-(0.5**0.5), 0, 0.5**0.5], [0.5**0.5, 0, 0.5**0.5]]).T
+    tools = np.asarray(jax.jit(jax.vmap(tcp_pose, (None, 0)))(robot, jnp.asarray(x)))[-4:, :3, :3]
+    np.testing.assert_allclose(np.deg2rad(found["normal"][-4:]), [angles_of(tool, frame) for tool in tools], atol=1e-9)
+    np.testing.assert_allclose(found["plate_2"][-4:, 0], 45 - found["normal"][-4:, 0])
+    assert np.isnan(found["normal"][:-4]).all()
+    assert tool_angles_at(scenario, [], robot, part, x) is None
+
+
+def test_a_picture_shows_limited_angles_with_their_ranges():
+    axes = Figure().add_subplot()
+    draw_angles(axes, ToolAxisRow("tcp.z", (13.0, 17.0), 10.0), np.full((5, 3), 14.0))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["work angle", "travel angle"]
+    (band,) = axes.patches
+    assert (band.get_y(), band.get_height()) == (13.0, 4.0)

@@ -2,7 +2,7 @@ from . import arrays, duct, fixture, kinematics, robot, scenario, surface
 from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
 from .coupling import Coupling, LimitArrays, coordinate_limits, joints_between, moved_by
 from .fixture import Fixture
-from .goals import RowError, check_constant_angles, follower_position, task_of, tool_angles, with_goals
+from .goals import RowError, check_constant_angles, follower_position, task_of, tool_angles_at, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
 from .mesh_points import NearbyBody, PointCover, cover_mesh, thinnest_nearby
 from .path_frames import ONE_POINT_M, PathFrames
@@ -83,7 +83,7 @@ __all__ = [
     "task_of",
     "tcp_at",
     "thinnest_nearby",
-    "tool_angles",
+    "tool_angles_at",
     "with_goals",
     "with_own_tool",
     "within_limits",

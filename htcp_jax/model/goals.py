@@ -24,7 +24,7 @@ from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, ToolAxisRow, path_row
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, path_row, tool_axis_row
 
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
@@ -127,7 +127,7 @@ def with_goals(
     return replace(scenario, task_goals=np.concatenate(columns, axis=1))
 
 
-def tool_angles(
+def tool_angles_at(
     scenario: Scenario,
     rows: Sequence[TaskRowKind],
     robot: Robot,
@@ -146,7 +146,7 @@ def tool_angles(
         workpiece: The scenario's workpiece.
         x: Configurations at the scenario's targets [rad or m].
     """
-    row = next((row for row in rows if isinstance(row, ToolAxisRow)), None)
+    row = tool_axis_row(rows)
     if row is None:
         return None
     count = len(workpiece.path)

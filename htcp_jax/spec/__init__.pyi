@@ -48,7 +48,7 @@ from .strict_yaml import Quantity, parse_mapping, read_yaml, yaml_text
 from .task_list import TASK_ROWS, TCP_ON_PATH, AxisRow, OrientationRow, PointRow, path_row
 from .task_row_kind import AIM_M, AIM_RAD, PATH_VALUES, TaskRowKind
 from .tool import Tool
-from .tool_angles import TOOL_ANGLES, Angle, ToolAxisRow
+from .tool_angles import TOOL_ANGLES, Angle, ToolAxisRow, tool_axis_row
 
 __all__ = [
     "AIM_M",
@@ -130,6 +130,7 @@ __all__ = [
     "task_list",
     "template_of",
     "tool",
+    "tool_axis_row",
     "value_at",
     "with_arrays",
     "yaml_text",

@@ -11,12 +11,13 @@ With n the path's normal, t its tangent in the direction of travel, and h the to
     spin            about the tool's axis: from the direction of travel to the tool's next axis
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from htcp_jax.errors import InputError
 from htcp_jax.spec.built_in_row import BuiltInRow, axis_parts, check_axis
+from htcp_jax.spec.task_row_kind import TaskRowKind
 
 Angle = Literal["free"] | float | tuple[float, float]  # any angle, one angle, or a range [degrees]
 PLATES = "plate_1", "plate_2"
@@ -95,3 +96,8 @@ class ToolAxisRow(BuiltInRow):
         if name == "spin_deg":
             return -360, 360
         return (0, 180) if name == "work_angle_deg" and self.work_angle_from != "normal" else (-90, 90)
+
+
+def tool_axis_row(rows: Sequence[TaskRowKind]) -> ToolAxisRow | None:
+    """Return the first row with tool angles; None if there is none."""
+    return next((row for row in rows if isinstance(row, ToolAxisRow)), None)

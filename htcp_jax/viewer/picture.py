@@ -24,7 +24,9 @@ from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.runs import MotionSummary, summarise_motion
+from htcp_jax.spec import ToolAxisRow
 from htcp_jax.status import Status
+from htcp_jax.viewer.angle_strip import draw_angles
 from htcp_jax.viewer.arm_pose import ArmPose, arms_at, moved, pieces_at, roots_at, seen, together
 from htcp_jax.viewer.colours import (
     DWELL,
@@ -66,6 +68,7 @@ def draw_plan(
     obstruction: Obstruction | None = None,
     fixtures: surface.WorldGeometry = surface.NOTHING,
     normals: NormalGlyphs = NO_GLYPHS,
+    angles: tuple[ToolAxisRow, Float[np.ndarray, "T 3"]] | None = None,
 ) -> Figure:
     """Draw a plan: the arm in the workpiece in two views, and the clearance along the path.
 
@@ -79,14 +82,18 @@ def draw_plan(
         obstruction: The colliding body at the failed target, drawn in red; None if there is none.
         fixtures: The other obstacles.
         normals: Glyphs of the path's normals, if the task refers to them.
+        angles: The task's row with tool angles, and the angles at each target [degrees]; None: not drawn.
 
     Returns:
         The figure, to be saved with `figure.savefig(path)`.
     """
-    figure = Figure(figsize=(14, 9.6), dpi=120, facecolor=PAPER)  # a layout engine would draw it three times
+    ratios = (1.4, 1) if angles is None else (1.4, 1, 0.5)
+    figure = Figure(
+        figsize=(14, 4 * sum(ratios)), dpi=120, facecolor=PAPER
+    )  # a layout engine would draw it three times
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, y=0.985, ha="left")
-    grid = figure.add_gridspec(2, 2, height_ratios=(1.4, 1), width_ratios=(1.12, 1), **PLACE)
+    grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios, width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
     cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
@@ -101,6 +108,8 @@ def draw_plan(
     _draw_clearance(below, plans, row, float(scenario.margin_m))
     _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
     below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
+    if angles is not None:
+        draw_angles(figure.add_subplot(grid[2, :]), *angles)
     return figure
 
 
