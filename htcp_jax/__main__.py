@@ -26,6 +26,8 @@ def main() -> NoReturn:
     """Run the command line and end the process with its exit code."""
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, _end_at_once)  # until `run` installs its handlers
+    # XLA's own messages, such as its alarm about a compilation above 2 minutes; its errors are exceptions of JAX.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from htcp_jax.system import run  # here, as the import takes a tenth of a second
 
     run(_command)
