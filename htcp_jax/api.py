@@ -193,7 +193,7 @@ class Plan:
         return {"minimum clearance": f"at target {at}: {body} next to {other}"}
 
     def _distances(self) -> dict[str, str]:
-        s, required = self.summary, f"{1e3 * self.job.margin_m:g} mm required"
+        s, required = self.summary, self._required()
         if not s.tracked:
             return {"clearance": required}
         least = "" if self.robot.pieces is None else "at least "  # larger distances of pieces are not recorded
@@ -212,6 +212,12 @@ class Plan:
             begin = "home" if self.scenario.auto_start else "the given start"
             facts["first segment"] = f"{turn:.2f} rad in the joints, from {begin} to the first configuration"
         return facts
+
+    def _required(self) -> str:
+        """Return the required clearance as text; where seams have their own, the smallest and the largest one."""
+        margins = [jobs.margin_of(self.job, seam) for seam in self.job.workpiece.seams] or [self.job.margin_m]
+        low, high = 1e3 * min(margins), 1e3 * max(margins)
+        return f"{high:g} mm required" if low == high else f"{low:g} to {high:g} mm required, by seam"
 
     @property
     def _seam_names(self) -> list[str]:
@@ -501,7 +507,7 @@ def _plan_seams(
     made = sequencing.whole_plans(whole, sequence, list(lost.values()))
     made = made._replace(compile_s=plans.compile_s, run_s=time.perf_counter() - began - plans.compile_s)
     reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
-    order = SeamOrder.of(job.workpiece.seams[: len(done)], made, sequence, reasons)
+    order = SeamOrder.of(job, made, sequence, reasons)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, made, all_obstacles, device, order)
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import warnings
 
 import numpy as np
@@ -35,7 +36,7 @@ def write_job(folder, *seams, **changes):
         (folder / f"{name}.csv").write_text("\n".join(["x,y,z,seam", *rows, ""]))
     job = yaml.safe_load(file.read_text())
     del job["workpiece"]["path"]
-    file.write_text(yaml.safe_dump(job | {"seams": list(seams)} | changes))
+    file.write_text(json.dumps(job | {"seams": list(seams)} | changes))
     return file
 
 
@@ -51,6 +52,15 @@ def planned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("seams")
     file = write_job(folder, LEFT, RIGHT, FAR)
     assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 3
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def with_own_keys(tmp_path_factory):
+    """Folder of a plan of two seams with margins and feeds of their own, larger than the job's margin."""
+    folder = tmp_path_factory.mktemp("own")
+    file = write_job(folder, LEFT | {"margin_m": 0.004, "feed": "10mm/s"}, RIGHT | {"margin_m": 0.002})
+    assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 0
     return folder / "out"
 
 
@@ -208,13 +218,67 @@ def test_tangents_do_not_cross_from_seam_to_seam():
     ([LEFT | {"path": "empty_cell.csv", "rows": None}], "row 3 has no value in the column seam; each row"),
     ([LEFT | {"points": True, "direction": "forward"}], "seam 'left' has points: true; its key direction would"),
     ([LEFT | {"begins_at": 2}], "seam 'left': begins_at is for a seam with closed: true"),
-    ([LEFT | {"direction": "up"}], "direction"),
-    ([LEFT | {"pth": "x"}], "unknown key workpiece.seams.0.pth"),
+    ([LEFT, RIGHT | {"direction": "up"}], "workpiece.seams.2.direction"),
+    ([LEFT | {"feed": "20"}], "workpiece.seams.1.feed: feed '20' is not a speed above 0 with a unit"),
+    ([LEFT | {"margin_m": -1}], "workpiece.seams.1.margin_m is -1: at least 0 is needed, in metres"),
+    ([LEFT | {"task": [{"axis": "tcp.q", "towards": [0, 0, 1]}]}], "workpiece.seams.1.task.1: axis is 'tcp.q'"),
+    ([LEFT | {"pth": "x"}], "unknown key workpiece.seams.1.pth"),
     ([LEFT | {"path": "missing.csv", "rows": None}], "missing.csv"),
 ])  # fmt: skip
 def test_an_invalid_list_of_seams_is_refused_in_one_line(tmp_path, seams, words):
     message = refusal(tmp_path, *seams)
     assert words in message and "\n" not in message
+
+
+POINT, AXIS = {"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": [0, 0, 1], "cone_deg": 90}
+
+
+def test_on_a_seam_with_its_own_task_the_goals_and_the_margin_are_its_own(tmp_path):
+    own = {"task": [POINT, AXIS | {"towards": [1, 0, 0], "cone_deg": 30}], "margin_m": 0.002}
+    job = load_config(write_job(tmp_path, LEFT, RIGHT | own, task=[POINT, AXIS], start_rad="auto"))
+    *_, scenario = build.resolved_scene(job)
+    np.testing.assert_allclose(scenario.goals[:, 3:], [[0, 0, 1, np.pi / 2]] * 6 + [[1, 0, 0, np.pi / 6]] * 5)
+    np.testing.assert_allclose(scenario.seam_margins_m[:, 0], [5e-4] * 6 + [2e-3] * 5)
+    np.testing.assert_allclose(scenario.goals[1:, :3], toy.workpiece().path)
+
+
+def test_each_seam_keeps_its_own_margin_and_the_validation_requires_it(with_own_keys, tmp_path):
+    rows = rows_of(with_own_keys, "trajectory.csv")
+    order, least = summary(with_own_keys)["order"], {"left": 0.004, "right": 0.002}
+    for name, margin_m in least.items():
+        assert all(float(row["clearance_m"]) >= margin_m for row in rows if row["seam"] == name)
+    assert {visit["name"]: visit["margin_m"] for visit in order["visits"]} == least
+    assert main(["validate", str(with_own_keys)]) == 0
+    shutil.copytree(with_own_keys, tmp_path / "near")
+    record = json.loads((tmp_path / "near" / "summary.json").read_text())
+    for seam in record["config"]["workpiece"]["seams"]:
+        seam["margin_m"] = 0.05 if seam["name"] == "left" else seam["margin_m"]
+    (tmp_path / "near" / "summary.json").write_text(json.dumps(record))
+    assert main(["validate", str(tmp_path / "near")]) == 1
+    refuted = json.loads((tmp_path / "near" / "validation.json").read_text())["refuted"]
+    targets = {visit["name"]: range(visit["first"], visit["last"] + 1) for visit in order["visits"]}
+    assert refuted and all(one["target"] in targets["left"] for one in refuted)
+    assert "less than margin_m" in refuted[0]["reason"]
+
+
+def test_the_own_keys_of_the_only_seam_are_those_of_the_job(tmp_path):
+    own = {"task": [POINT, AXIS], "margin_m": 0.002, "feed": "5mm/s"}
+    job = build.resolved_scene(load_config(write_job(tmp_path, LEFT | own)))[0]
+    assert (job.margin_m, job.program.feed, len(job.task)) == (0.002, "5mm/s", 2)
+    assert job.workpiece.seams[0].task == () and job.workpiece.seams[0].margin_m is None
+
+
+@pytest.mark.parametrize("task, words", [
+    ([POINT], "its task has the rows point tcp; the job's: point tcp, axis tcp.z; a seam's task has the rows of"),
+    ([POINT | {"within_m": 1e-3}, AXIS], "task.1 (point tcp) has a tolerance, but the job's has none; a seam's"),
+    ([POINT, AXIS | {"axis": "tcp.x"}], "task.2 (axis tcp.x) is of another kind than the job's (axis tcp.z); a seam's"),
+    ([POINT, AXIS | {"towards": "path.normal", "axis": "top.z"}], "task.2: "),
+])  # fmt: skip
+def test_a_task_of_a_seam_with_other_kinds_of_rows_is_refused_in_one_line(tmp_path, capsys, task, words):
+    file = write_job(tmp_path, LEFT, RIGHT | {"task": task}, task=[POINT, AXIS])
+    assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"seam 'right': {words}" in line
 
 
 def test_a_path_and_seams_exclude_each_other_in_one_file_and_the_later_one_replaces_the_other(tmp_path):

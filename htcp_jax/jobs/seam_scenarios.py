@@ -95,10 +95,16 @@ def _rows(whole: Scenario, robot: Robot, first: int, last: int) -> Scenario:
     on_path = int(whole.on_path)
     rows = on_path + np.array([first] * on_path + list(range(first, last)))
     targets = whole.targets[rows]
+    margins = whole.margin_m, whole.segment_margin_m
+    if whole.seam_margins_m is not None:
+        margins = whole.seam_margins_m[rows[-1]]
     is_far = beyond_reach(robot, targets, float(whole.tool_extension_m)).any()
     return replace(
         whole,
         targets=targets,
+        margin_m=np.asarray(margins[0]),
+        segment_margin_m=np.asarray(margins[1]),
+        seam_margins_m=None,
         task_goals=None if whole.task_goals is None else whole.task_goals[rows],
         count=np.array(len(rows), np.int32),
         refused=np.array(Status.OUT_OF_REACH if is_far else NOT_REFUSED, np.int32),

@@ -1,11 +1,12 @@
 """`SeamOrder`: the order of a plan's seams, as text and for files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from htcp_jax.jobs import margin_of
 from htcp_jax.motion import Plans, plans
 from htcp_jax.sequencing import SeamSequence
-from htcp_jax.spec import SeamConfig
+from htcp_jax.spec import PlanConfig
 from htcp_jax.status import NOT_TRIED
 
 
@@ -18,6 +19,8 @@ class SeamVisit(NamedTuple):
     last: int  # last target
     air_move_s: float | None  # time of the air move to it, at the joints' full speed; None if the motion begins here
     clearance_m: float  # guaranteed clearance along the seam and the air move to it
+    margin_m: float  # required clearance at its targets
+    feed: str | None  # feed rate with its unit, as in the job; None: neither the seam nor the job has one
 
 
 class SeamOrder(NamedTuple):
@@ -30,21 +33,25 @@ class SeamOrder(NamedTuple):
 
     @classmethod
     def of(
-        cls, seams: Sequence[SeamConfig], made: Plans, sequence: SeamSequence, missing: Mapping[str, plans.Outcome]
+        cls, job: PlanConfig, made: Plans, sequence: SeamSequence, missing: Mapping[str, plans.Outcome]
     ) -> "SeamOrder":
         """Return the order of a plan.
 
         Args:
-            seams: The seams that are done, in order.
+            job: The job; its first seams are those that are done, in order.
             made: The plan of all seams.
             sequence: The order.
             missing: The outcome of each seam that is not done, by name.
         """
+        seams = job.workpiece.seams[: len(sequence.visits)]
         bounds = [0, *made.seam_begins, made.status.shape[1]]
         times: list[float | None] = [move.time_s for move in sequence.moves]
         times = times if len(times) == len(seams) else [None, *times]
         visits = [
-            SeamVisit(seam.name, seam.direction, a, b - 1, time, float(made.segment_clearance[0, a:b].min()))
+            SeamVisit(
+                *(seam.name, seam.direction, a, b - 1, time, float(made.segment_clearance[0, a:b].min())),
+                *(margin_of(job, seam), seam.feed or job.program.feed),
+            )
             for seam, a, b, time in zip(seams, bounds, bounds[1:], times, strict=False)
         ]
         return cls(tuple(visits), {name: _reason(end) for name, end in missing.items()}, *sequence[3:5])

@@ -3,7 +3,7 @@
 The code is independent of the planner's implementation of the rows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import singledispatch
 from typing import NamedTuple
@@ -13,7 +13,17 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.settings import Settings
-from htcp_jax.spec import TCP_ON_PATH, AxisRow, BuiltInRow, OrientationRow, PointRow, TaskRowKind, path_row, with_arrays
+from htcp_jax.spec import (
+    TCP_ON_PATH,
+    AxisRow,
+    BuiltInRow,
+    OrientationRow,
+    PlanConfig,
+    PointRow,
+    TaskRowKind,
+    path_row,
+    with_arrays,
+)
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
@@ -22,15 +32,15 @@ from htcp_jax.validation.scene_rules import WorkpieceData
 class RowCheck(NamedTuple):
     """Deviation from one row of the task at n points of the path, and its tolerance, in metres or degrees."""
 
-    row: TaskRowKind
+    row: TaskRowKind  # where seams have their own tasks, the row of the first point
     off: Float[np.ndarray, "n"] | None  # deviation; None if the row's kind has no independent check
-    most: float
+    most: Float[np.ndarray, "n"]
 
     def reason(self, number: int, k: int) -> str | None:
         """Return a sentence on the row's violation at the k-th point; None if the row is satisfied."""
-        if self.off is None or self.off[k] <= self.most + ROUNDING_M:
+        if self.off is None or self.off[k] <= self.most[k] + ROUNDING_M:
             return None
-        off, most = self.factor * self.off[k], self.factor * self.most
+        off, most = self.factor * self.off[k], self.factor * self.most[k]
         return f"task.{number} ({self.row}) deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
 
     @property
@@ -131,6 +141,36 @@ def part_between(
     return PartPose(rotate, translate, own, np.arange(len(point)))
 
 
+def tasks_at(
+    job: PlanConfig, workpiece: WorkpieceData, point: Int[np.ndarray, "n"]
+) -> Iterator[tuple[Sequence[TaskRowKind], Int[np.ndarray, "k"]]]:
+    """Yield the rows of each task, and the positions in `point` of those points of the path that it applies to.
+
+    Args:
+        job: The job.
+        workpiece: The part.
+        point: Indices of points of the path.
+    """
+    if not any(seam.task for seam in job.workpiece.seams):
+        yield job.task, np.arange(len(point))
+        return
+    number = np.searchsorted(workpiece.seam_begins, point, "right")
+    for seam in np.unique(number).tolist():
+        yield job.workpiece.seams[seam].task or job.task, np.flatnonzero(number == seam)
+
+
+def joined_rows(parts: Sequence[tuple[list[RowCheck], Int[np.ndarray, "k"]]]) -> list[RowCheck]:
+    """Return the checks of a task's rows at all points, from those at some points and these points' positions."""
+    if len(parts) == 1:
+        return parts[0][0]
+    order = np.argsort(np.concatenate([which for _, which in parts])) if parts else []
+    found = []
+    for rows in zip(*(rows for rows, _ in parts), strict=True):
+        off = None if any(row.off is None for row in rows) else np.concatenate([row.off for row in rows])[order]
+        found.append(RowCheck(rows[0].row, off, np.concatenate([row.most for row in rows])[order]))
+    return found
+
+
 def check_rows(
     rows: Sequence[TaskRowKind],
     arm: MujocoArm,
@@ -203,7 +243,7 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
     off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
     off = np.rad2deg(off) if row.angular and off is not None else off
-    return RowCheck(row, off, limit or (most_deg if row.angular else most_m))
+    return RowCheck(row, off, np.full(len(arm.x), limit or (most_deg if row.angular else most_m)))
 
 
 @singledispatch

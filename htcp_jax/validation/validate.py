@@ -264,10 +264,10 @@ def _unchecked(checked: Sequence[TrackCheck], cells: Iterable[MujocoCell]) -> tu
 def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
     """Return the largest deviation from a row of the task in one track."""
     row = one.rows[number]
-    k = int(np.argmax(row.off))
+    k = int(np.argmax(row.off / row.most))
     at = one.scenario, int(one.on_path[k])
     return RowDeviation(
-        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * row.most, row.unit, at
+        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * float(row.most[k]), row.unit, at
     )
 
 
