@@ -158,6 +158,42 @@ def test_the_program_stops_at_each_point(tmp_path):
         assert np.abs(np.diff(program, axis=0)).max(axis=1)[max(0, apart.argmin() - 1)] < 1e-5
 
 
+def program_of(folder, out, *options) -> list[dict]:
+    """Rows of the CSV program of a saved plan."""
+    limits = ["--set", "program.velocity=[1, 1, 1, 1]"]
+    assert main(["program", str(folder), "--format", "csv", "--out", str(out), *options, *limits]) == 0
+    return list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
+
+
+def test_a_seam_with_its_own_feed_takes_the_time_that_this_feed_needs(with_own_keys, tmp_path, capsys):
+    rows = program_of(with_own_keys, tmp_path / "own.csv", "--set", "program.feed=20mm/s")
+    assert "20 mm/s on right" in capsys.readouterr().out
+    path = toy.workpiece().path
+    for name, feed, points in (("left", 0.01, path[:5]), ("right", 0.02, path[5:])):
+        times = [float(row["time_s"]) for row in rows if row["seam"] == name and row["kind"] == Kind.PROCESS.name]
+        seconds = np.linalg.norm(np.diff(points, axis=0), axis=1).sum() / feed
+        assert seconds < times[-1] - times[0] < seconds + 0.5
+
+
+def test_the_feed_of_the_command_line_replaces_those_of_seams_with_a_note(with_own_keys, tmp_path, capsys):
+    program_of(with_own_keys, tmp_path / "all.csv", "--feed", "20mm/s")
+    printed = capsys.readouterr()
+    assert "--feed 20mm/s replaces the feeds of seams: left (10mm/s)" in printed.err and "feed" in printed.out
+    assert "mm/s on" not in printed.out
+
+
+def test_a_program_without_a_feed_for_a_seam_is_refused_with_its_name(with_own_keys, tmp_path, capsys):
+    assert main(["program", str(with_own_keys), "--out", str(tmp_path / "p.csv")]) == 2
+    assert "the feed rate of the seam 'right' is missing: set program.feed" in capsys.readouterr().err
+
+
+def test_a_program_with_a_column_seam_is_read_and_proven(with_own_keys, tmp_path, capsys):
+    program_of(with_own_keys, tmp_path / "own.csv", "--feed", "20mm/s")
+    command = ["prove", str(tmp_path / "own.csv"), "--job", str(with_own_keys.parent / "job.yaml")]
+    assert main([*command, "--out", str(tmp_path / "proof")]) == 0
+    assert "proven: guaranteed clearance" in capsys.readouterr().out
+
+
 def test_a_saved_plan_whose_seams_do_not_ascend_is_refused(complete, tmp_path, capsys):
     (tmp_path / "summary.json").write_text((complete / "summary.json").read_text())
     arrays = dict(np.load(complete / "trajectory.npz"))
