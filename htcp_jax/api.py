@@ -93,6 +93,7 @@ class Plan:
         facts = {
             **({} if self.order is None else self.order.facts()),
             **self.motion_summary.facts(),
+            **self._way_back(),
             **self._reduced_margin(),
             **self._length(),
             **self._joint_step(),
@@ -156,6 +157,13 @@ class Plan:
         found = [f"at least {1e3 * plans.segment_clearance[0, t]:.3g} mm on the segment to target {t}" for t in here]
         required = f"; required: {1e3 * self.job.transfer_margin_m:g} mm, less near the ends"
         return {"transfer margin": ", ".join(found) + required} if found else {}
+
+    def _way_back(self) -> dict[str, str]:
+        """Return a line with the clearance on the way back home if it is smaller than on the motion; else {}."""
+        back_m = None if self.order is None else self.order.retract_clearance_m
+        if back_m is None or not back_m < self.motion_summary.clearance_m:
+            return {}
+        return {"way back home": f"guaranteed clearance at least {1e3 * back_m:.3g} mm"}
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""
@@ -333,6 +341,7 @@ class Plan:
             obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
+            seams=() if self.order is None else [seam.name for seam in self.job.workpiece.seams],
         )
 
     def record(self) -> dict[str, Any]:
@@ -392,7 +401,8 @@ class Plan:
         forget_validation(Path(folder))
 
     def __str__(self) -> str:
-        return f"{self.job.method}: {self.robot.name}, {self.workpiece.name}"
+        done = self.workpiece.name if self.order is None else self.order.done
+        return f"{self.job.method}: {self.robot.name}, {done}"
 
     def __repr__(self) -> str:
         return f"Plan({self}, {self.summary.tracked} of {self.summary.targets} targets tracked)"

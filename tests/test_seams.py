@@ -1,9 +1,11 @@
 """Jobs with several seams: their entries, their order, and one proven motion through all of them."""
 
 import csv
+import io
 import json
 import shutil
 import warnings
+from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ def write_job(folder, *seams, **changes):
     """Write the toy arm's job with seams in place of its path, and return its file."""
     file = toy.write_job(folder)
     np.savetxt(folder / "far.csv", [[9.0, 0.0, 0.3], [9.1, 0.0, 0.3]], delimiter=",")
+    (folder / "empty.csv").write_text("")
     points = [",".join(map(str, point)) for point in toy.workpiece().path]
     (folder / "two.csv").write_text("\n".join([*points[:5], "", *points[5:], ""]))
     for name, labels in {"returns": "aabba", "empty_cell": ["a", "a", "", "b", "b"]}.items():
@@ -51,7 +54,9 @@ def planned(tmp_path_factory):
     """Folder of a plan by `htcp plan` of two seams, and one out of reach, with the motion back home."""
     folder = tmp_path_factory.mktemp("seams")
     file = write_job(folder, LEFT, RIGHT, FAR)
-    assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 3
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 3
+    assert printed.getvalue().splitlines()[0] in ("beam: toy, left, right", "beam: toy, right, left")
     return folder / "out"
 
 
@@ -86,6 +91,16 @@ def test_a_seam_out_of_reach_is_missing_with_its_reason_and_the_others_are_done(
     order = summary(planned)["order"]
     assert {visit["name"] for visit in order["visits"]} == {"left", "right"}
     assert list(order["missing"]) == ["far"] and order["missing"]["far"].startswith("a target is farther away")
+
+
+def test_the_validation_names_a_missing_seam_and_refutes_nothing(planned, capsys):
+    assert main(["validate", str(planned)]) == 0
+    assert "The plan lacks the seam 'far', which is not validated: a target is farther" in capsys.readouterr().out
+
+
+def test_a_program_of_a_plan_without_a_seam_is_refused_with_its_name(planned, tmp_path, capsys):
+    assert main(["program", str(planned), "--feed", "20mm/s", "--out", str(tmp_path / "p.csv")]) == 2
+    assert "the plan lacks seam 'far'; remove it from the job" in capsys.readouterr().err
 
 
 def test_the_order_keeps_precedence_and_direction(complete):
@@ -133,36 +148,32 @@ def test_a_saved_plan_of_two_seams_becomes_one_program_that_is_read_back_and_pro
     assert "proven" in capsys.readouterr().out
 
 
-def test_the_program_stops_at_each_point(tmp_path):
-    seams = LEFT | {"rows": [2, 3], "points": True}, RIGHT
-    assert main(["plan", str(write_job(tmp_path, *seams)), "--out", str(tmp_path / "out")]) == 0
-    command = [
-        "program",
-        str(tmp_path / "out"),
-        "--feed",
-        "20mm/s",
-        "--format",
-        "csv",
-        "--out",
-        str(tmp_path / "p.csv"),
-    ]
-    assert main([*command, "--set", "program.velocity=[1, 1, 1, 1]"]) == 0
-    joints = [f"j{k}_rad" for k in range(1, 5)]
-    lines = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
-    program = np.array([[float(row[name]) for name in joints] for row in csv.DictReader(lines)])
-    points = [row for row in rows_of(tmp_path / "out", "trajectory.csv") if row["seam"].startswith("left")]
-    assert len({row["seam"] for row in points}) == 3
-    for point in points:
-        apart = np.abs(program - [float(point[name]) for name in joints]).max(axis=1)
-        assert apart.min() < 1e-8
-        assert np.abs(np.diff(program, axis=0)).max(axis=1)[max(0, apart.argmin() - 1)] < 1e-5
-
-
 def program_of(folder, out, *options) -> list[dict]:
     """Rows of the CSV program of a saved plan."""
     limits = ["--set", "program.velocity=[1, 1, 1, 1]"]
     assert main(["program", str(folder), "--format", "csv", "--out", str(out), *options, *limits]) == 0
     return list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    """Folder of a job with three points and a seam, and of its plan."""
+    folder = tmp_path_factory.mktemp("points")
+    seams = LEFT | {"rows": [2, 3], "points": True}, RIGHT
+    assert main(["plan", str(write_job(folder, *seams)), "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def test_the_program_stops_at_each_point(points, tmp_path):
+    program = program_of(points / "out", tmp_path / "p.csv", "--feed", "20mm/s")
+    joints = [f"j{k}_rad" for k in range(1, 5)]
+    program = np.array([[float(row[name]) for name in joints] for row in program])
+    visited = [row for row in rows_of(points / "out", "trajectory.csv") if row["seam"].startswith("left")]
+    assert len({row["seam"] for row in visited}) == 3
+    for point in visited:
+        apart = np.abs(program - [float(point[name]) for name in joints]).max(axis=1)
+        assert apart.min() < 1e-8
+        assert np.abs(np.diff(program, axis=0)).max(axis=1)[max(0, apart.argmin() - 1)] < 1e-5
 
 
 def test_a_seam_with_its_own_feed_takes_the_time_that_this_feed_needs(with_own_keys, tmp_path, capsys):
@@ -192,6 +203,26 @@ def test_a_program_with_a_column_seam_is_read_and_proven(with_own_keys, tmp_path
     command = ["prove", str(tmp_path / "own.csv"), "--job", str(with_own_keys.parent / "job.yaml")]
     assert main([*command, "--out", str(tmp_path / "proof")]) == 0
     assert "proven: guaranteed clearance" in capsys.readouterr().out
+
+
+def test_a_proof_of_a_file_counts_the_points_that_it_visits(points, tmp_path, capsys):
+    command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
+    assert main([*command, "--job", str(points / "job.yaml")]) == 0
+    assert "points visited      3 of 3, within 1 mm" in capsys.readouterr().out
+    text = (points / "job.yaml").read_text().replace('"rows": [2, 3]', '"rows": [1, 4]')
+    (points / "more.yaml").write_text(text)
+    assert main([*command, "--job", str(points / "more.yaml")]) == 0
+    assert "points visited      3 of 4, within 1 mm; not left 1" in capsys.readouterr().out
+    fits("proof", json.loads((tmp_path / "proof" / "proof.json").read_text()))
+
+
+def test_a_proof_of_points_only_counts_them_without_a_length(points, tmp_path, capsys):
+    text = (points / "job.yaml").read_text().replace('"rows": [5, 5]', '"rows": [5, 5], "points": true')
+    (points / "only.yaml").write_text(text)
+    command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
+    assert main([*command, "--job", str(points / "only.yaml")]) == 0
+    printed = capsys.readouterr().out
+    assert "points visited      8 of 8" in printed and "path covered" not in printed
 
 
 def test_a_saved_plan_whose_seams_do_not_ascend_is_refused(complete, tmp_path, capsys):
@@ -259,7 +290,8 @@ def test_tangents_do_not_cross_from_seam_to_seam():
     ([LEFT | {"margin_m": -1}], "workpiece.seams.1.margin_m is -1: at least 0 is needed, in metres"),
     ([LEFT | {"task": [{"axis": "tcp.q", "towards": [0, 0, 1]}]}], "workpiece.seams.1.task.1: axis is 'tcp.q'"),
     ([LEFT | {"pth": "x"}], "unknown key workpiece.seams.1.pth"),
-    ([LEFT | {"path": "missing.csv", "rows": None}], "missing.csv"),
+    ([LEFT | {"path": "missing.csv", "rows": None}], "missing.csv: no such file"),
+    ([LEFT | {"path": "empty.csv", "rows": None}], "seam 'left': "),
 ])  # fmt: skip
 def test_an_invalid_list_of_seams_is_refused_in_one_line(tmp_path, seams, words):
     message = refusal(tmp_path, *seams)

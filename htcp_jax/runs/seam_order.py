@@ -9,6 +9,8 @@ from htcp_jax.sequencing import SeamSequence
 from htcp_jax.spec import PlanConfig
 from htcp_jax.status import NOT_TRIED
 
+MOST_NAMED = 8  # more seams are counted in titles
+
 
 class SeamVisit(NamedTuple):
     """A seam that is done."""
@@ -30,6 +32,7 @@ class SeamOrder(NamedTuple):
     missing: dict[str, str]  # name of the seam -> reason
     time_s: float  # of the whole motion at the joints' full speed
     bound_s: float  # lower bound on this time for all orders of the seams' plans
+    retract_clearance_m: float | None  # guaranteed clearance on the way back home; None without a home
 
     @classmethod
     def of(
@@ -54,7 +57,15 @@ class SeamOrder(NamedTuple):
             )
             for seam, a, b, time in zip(seams, bounds, bounds[1:], times, strict=False)
         ]
-        return cls(tuple(visits), {name: _reason(end) for name, end in missing.items()}, *sequence[3:5])
+        reasons = {name: _reason(end) for name, end in missing.items()}
+        back = None if made.retract is None else float(made.retract.clearance.min())
+        return cls(tuple(visits), reasons, *sequence[3:5], back)
+
+    @property
+    def done(self) -> str:
+        """Names of the seams that are done; of many, their number."""
+        names = [visit.name for visit in self.visits]
+        return f"{len(names)} seams" if len(names) > MOST_NAMED else ", ".join(names) or "no seam"
 
     def facts(self) -> dict[str, str]:
         """Return the order as text by label."""

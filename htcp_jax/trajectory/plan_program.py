@@ -271,12 +271,21 @@ def program_of_plans(
     """
     end = plans.outcome(scenario)
     if not end.can_be_driven:
+        if lacking := _missing_seams(plans, scenario, job):
+            raise InputError(f"{name}: the plan lacks {lacking}; remove it from the job and plan the job again")
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: the motion leads to only {end.executable} of {end.targets} targets; {why}")
     robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell, job.tree), job.robot.tool_extension_m)
     goals = build.scene(job)[2].goals if job.task else None
     limits = joint_limits(robot, job.program, limits_of_job(job, robot))
     return timed_plan(plans, scenario, job, robot, goals, limits, feed_m_s, method, retract=retract)
+
+
+def _missing_seams(plans: Plans, scenario: int, job: PlanConfig) -> str:
+    """Return text with the names of the seams that a plan does not complete; "" for a job of one seam."""
+    parts = np.split(plans.executable[scenario], plans.seam_begins)
+    seams = job.workpiece.seams if plans.seam_begins else ()
+    return ", ".join(f"seam {seam.name!r}" for seam, done in zip(seams, parts, strict=False) if not done.all())
 
 
 def timed_plan(

@@ -87,7 +87,10 @@ def validate_results(
     depth, pair = max((each.deepest for each in parts.cells.values()), default=(0.0, ""))
     excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
     found = not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded
-    return Validation(*found, _unchecked(checked, parts.cells.values()))
+    lacking = [
+        f"The plan lacks the seam {name!r}, which is not validated: {why}." for name, why in results.missing.items()
+    ]
+    return Validation(*found, (*lacking, *_unchecked(checked, parts.cells.values())))
 
 
 def validation_record(found: Validation) -> dict[str, Any]:
