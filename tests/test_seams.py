@@ -93,6 +93,13 @@ def test_a_seam_out_of_reach_is_missing_with_its_reason_and_the_others_are_done(
     assert list(order["missing"]) == ["far"] and order["missing"]["far"].startswith("a target is farther away")
 
 
+def test_a_job_none_of_whose_seams_is_done_is_a_result_with_their_reasons(tmp_path, capsys):
+    narrow = LEFT | {"margin_m": 0.3}, RIGHT | {"margin_m": 0.3}
+    assert main(["plan", str(write_job(tmp_path, *narrow)), "--out", str(tmp_path / "out")]) == 3
+    printed = capsys.readouterr().out
+    assert printed.startswith("beam: toy, no seam\n") and "seam left: " in printed and "seam right: " in printed
+
+
 def test_the_validation_names_a_missing_seam_and_refutes_nothing(planned, capsys):
     assert main(["validate", str(planned)]) == 0
     assert "The plan lacks the seam 'far', which is not validated: a target is farther" in capsys.readouterr().out

@@ -286,7 +286,7 @@ class WorkpieceConfig(strict_model.FileSection):
     @property
     def path_label(self) -> str:
         """The name of the path's file or seam, or the names of all seams."""
-        return ", ".join(seam.name for seam in self.seams) or Path(self.path).name
+        return ", ".join(dict.fromkeys(seam.name for seam in self.seams)) or Path(self.path).name
 
     @property
     def is_duct(self) -> bool:
