@@ -29,7 +29,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
-from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, obstacle_kind, tool_axis_row
+from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, ToolAxisRow, obstacle_kind, tool_axis_row
 from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
 from htcp_jax.system import output_files
 
@@ -93,6 +93,7 @@ class Plan:
         facts = {
             **({} if self.order is None else self.order.facts()),
             **self.motion_summary.facts(),
+            **self._way_back(),
             **self._reduced_margin(),
             **self._length(),
             **self._joint_step(),
@@ -157,6 +158,13 @@ class Plan:
         required = f"; required: {1e3 * self.job.transfer_margin_m:g} mm, less near the ends"
         return {"transfer margin": ", ".join(found) + required} if found else {}
 
+    def _way_back(self) -> dict[str, str]:
+        """Return a line with the clearance on the way back home if it is smaller than on the motion; else {}."""
+        back_m = None if self.order is None else self.order.retract_clearance_m
+        if back_m is None or not back_m < self.motion_summary.clearance_m:
+            return {}
+        return {"way back home": f"guaranteed clearance at least {1e3 * back_m:.3g} mm"}
+
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""
         found = self.motion_summary
@@ -193,7 +201,7 @@ class Plan:
         return {"minimum clearance": f"at target {at}: {body} next to {other}"}
 
     def _distances(self) -> dict[str, str]:
-        s, required = self.summary, f"{1e3 * self.job.margin_m:g} mm required"
+        s, required = self.summary, self._required()
         if not s.tracked:
             return {"clearance": required}
         least = "" if self.robot.pieces is None else "at least "  # larger distances of pieces are not recorded
@@ -222,9 +230,27 @@ class Plan:
     @cached_property
     def tool_angles(self) -> Float[np.ndarray, "T 3"] | None:
         """Work angle, travel angle and spin at each target [degrees]; None if the task has no row with tool angles."""
-        known = self.scenario, self.job.task, self.robot, self.workpiece
+        if not self._tool_axis_rows:
+            return None
+        found = np.full((self.plans.status.shape[1], 3), np.nan)
         with devices.on(devices.choose(self.device)[0]):
-            return tool_angles_at(*known, self.plans.x[0])
+            for first, row in self._tool_axis_rows:
+                known = self.scenario, row, self.robot, self.workpiece
+                found[first:] = tool_angles_at(*known, self.plans.x[0])[first:]
+        return found
+
+    @property
+    def _tool_axis_rows(self) -> list[tuple[int, ToolAxisRow]]:
+        """First target of each seam, and the row with the tool's angles; empty if the task has no such row."""
+        tasks = [seam.task or self.job.task for seam in self.job.workpiece.seams] or [self.job.task]
+        rows = zip((0, *self.plans.seam_begins), map(tool_axis_row, tasks), strict=True)
+        return [(first, row) for first, row in rows if row is not None]
+
+    def _required(self) -> str:
+        """Return the required clearance as text; where seams have their own, the smallest and the largest one."""
+        margins = [jobs.margin_of(self.job, seam) for seam in self.job.workpiece.seams] or [self.job.margin_m]
+        low, high = 1e3 * min(margins), 1e3 * max(margins)
+        return f"{high:g} mm required" if low == high else f"{low:g} to {high:g} mm required, by seam"
 
     @property
     def _seam_names(self) -> list[str]:
@@ -331,7 +357,6 @@ class Plan:
         """Draw the arm in the workpiece, cut open, and the clearance along the path."""
         from htcp_jax.viewer import draw_plan, glyphs  # here, as matplotlib takes half a second to import
 
-        row = tool_axis_row(self.job.task)
         return draw_plan(
             self.robot,
             self.workpiece,
@@ -341,7 +366,8 @@ class Plan:
             obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
-            angles=None if row is None or self.tool_angles is None else (row, self.tool_angles),
+            angles=None if self.tool_angles is None else (self._tool_axis_rows, self.tool_angles),
+            seams=() if self.order is None else [seam.name for seam in self.job.workpiece.seams],
         )
 
     def record(self) -> dict[str, Any]:
@@ -403,7 +429,8 @@ class Plan:
         forget_validation(Path(folder))
 
     def __str__(self) -> str:
-        return f"{self.job.method}: {self.robot.name}, {self.workpiece.name}"
+        done = self.workpiece.name if self.order is None else self.order.done
+        return f"{self.job.method}: {self.robot.name}, {done}"
 
     def __repr__(self) -> str:
         return f"Plan({self}, {self.summary.tracked} of {self.summary.targets} targets tracked)"
@@ -518,7 +545,7 @@ def _plan_seams(
     made = sequencing.whole_plans(whole, sequence, list(lost.values()))
     made = made._replace(compile_s=plans.compile_s, run_s=time.perf_counter() - began - plans.compile_s)
     reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
-    order = SeamOrder.of(job.workpiece.seams[: len(done)], made, sequence, reasons)
+    order = SeamOrder.of(job, made, sequence, reasons)
     robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, made, all_obstacles, device, order)
 

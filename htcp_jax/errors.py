@@ -30,7 +30,7 @@ class Lost(Exception):
 
 def described(error: dict[str, Any]) -> str:
     """Return the message for a pydantic error: one line with the key, its value and the valid values."""
-    rows = error["loc"][:1] == ("task",) or error["loc"][:2] == ("cell", "obstacles")  # their rows are counted from 1
+    rows = error["loc"][:1] == ("task",) or error["loc"][:2] in _COUNTED  # their rows are counted from 1
     where = ".".join(str(part + 1 if rows and isinstance(part, int) else part) for part in error["loc"])
     known = error.get("ctx", {})
     if isinstance(known.get("error"), InputError):
@@ -44,6 +44,7 @@ def described(error: dict[str, Any]) -> str:
     return f"{where} is {reprlib.repr(error['input'])}: {needed}"
 
 
+_COUNTED = ("cell", "obstacles"), ("workpiece", "seams")
 _LIST, _SECTION = "a list is needed", "a mapping of keys to values is needed"
 _NEEDED = {  # text of the valid values, by the type of pydantic's error
     "tuple_type": _LIST, "list_type": _LIST, "dict_type": _SECTION, "dataclass_type": _SECTION,

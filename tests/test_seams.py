@@ -1,8 +1,11 @@
 """Jobs with several seams: their entries, their order, and one proven motion through all of them."""
 
 import csv
+import io
 import json
+import shutil
 import warnings
+from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
@@ -28,6 +31,7 @@ def write_job(folder, *seams, **changes):
     """Write the toy arm's job with seams in place of its path, and return its file."""
     file = toy.write_job(folder)
     np.savetxt(folder / "far.csv", [[9.0, 0.0, 0.3], [9.1, 0.0, 0.3]], delimiter=",")
+    (folder / "empty.csv").write_text("")
     points = [",".join(map(str, point)) for point in toy.workpiece().path]
     (folder / "two.csv").write_text("\n".join([*points[:5], "", *points[5:], ""]))
     for name, labels in {"returns": "aabba", "empty_cell": ["a", "a", "", "b", "b"]}.items():
@@ -35,7 +39,7 @@ def write_job(folder, *seams, **changes):
         (folder / f"{name}.csv").write_text("\n".join(["x,y,z,seam", *rows, ""]))
     job = yaml.safe_load(file.read_text())
     del job["workpiece"]["path"]
-    file.write_text(yaml.safe_dump(job | {"seams": list(seams)} | changes))
+    file.write_text(json.dumps(job | {"seams": list(seams)} | changes))
     return file
 
 
@@ -50,7 +54,18 @@ def planned(tmp_path_factory):
     """Folder of a plan by `htcp plan` of two seams, and one out of reach, with the motion back home."""
     folder = tmp_path_factory.mktemp("seams")
     file = write_job(folder, LEFT, RIGHT, FAR)
-    assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 3
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 3
+    assert printed.getvalue().splitlines()[0] in ("beam: toy, left, right", "beam: toy, right, left")
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def with_own_keys(tmp_path_factory):
+    """Folder of a plan of two seams with margins and feeds of their own, larger than the job's margin."""
+    folder = tmp_path_factory.mktemp("own")
+    file = write_job(folder, LEFT | {"margin_m": 0.004, "feed": "10mm/s"}, RIGHT | {"margin_m": 0.002})
+    assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 0
     return folder / "out"
 
 
@@ -76,6 +91,23 @@ def test_a_seam_out_of_reach_is_missing_with_its_reason_and_the_others_are_done(
     order = summary(planned)["order"]
     assert {visit["name"] for visit in order["visits"]} == {"left", "right"}
     assert list(order["missing"]) == ["far"] and order["missing"]["far"].startswith("a target is farther away")
+
+
+def test_a_job_none_of_whose_seams_is_done_is_a_result_with_their_reasons(tmp_path, capsys):
+    narrow = LEFT | {"margin_m": 0.3}, RIGHT | {"margin_m": 0.3}
+    assert main(["plan", str(write_job(tmp_path, *narrow)), "--out", str(tmp_path / "out")]) == 3
+    printed = capsys.readouterr().out
+    assert printed.startswith("beam: toy, no seam\n") and "seam left: " in printed and "seam right: " in printed
+
+
+def test_the_validation_names_a_missing_seam_and_refutes_nothing(planned, capsys):
+    assert main(["validate", str(planned)]) == 0
+    assert "The plan lacks the seam 'far', which is not validated: a target is farther" in capsys.readouterr().out
+
+
+def test_a_program_of_a_plan_without_a_seam_is_refused_with_its_name(planned, tmp_path, capsys):
+    assert main(["program", str(planned), "--feed", "20mm/s", "--out", str(tmp_path / "p.csv")]) == 2
+    assert "the plan lacks seam 'far'; remove it from the job" in capsys.readouterr().err
 
 
 def test_the_order_keeps_precedence_and_direction(complete):
@@ -123,29 +155,81 @@ def test_a_saved_plan_of_two_seams_becomes_one_program_that_is_read_back_and_pro
     assert "proven" in capsys.readouterr().out
 
 
-def test_the_program_stops_at_each_point(tmp_path):
+def program_of(folder, out, *options) -> list[dict]:
+    """Rows of the CSV program of a saved plan."""
+    limits = ["--set", "program.velocity=[1, 1, 1, 1]"]
+    assert main(["program", str(folder), "--format", "csv", "--out", str(out), *options, *limits]) == 0
+    return list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    """Folder of a job with three points and a seam, and of its plan."""
+    folder = tmp_path_factory.mktemp("points")
     seams = LEFT | {"rows": [2, 3], "points": True}, RIGHT
-    assert main(["plan", str(write_job(tmp_path, *seams)), "--out", str(tmp_path / "out")]) == 0
-    command = [
-        "program",
-        str(tmp_path / "out"),
-        "--feed",
-        "20mm/s",
-        "--format",
-        "csv",
-        "--out",
-        str(tmp_path / "p.csv"),
-    ]
-    assert main([*command, "--set", "program.velocity=[1, 1, 1, 1]"]) == 0
+    assert main(["plan", str(write_job(folder, *seams)), "--out", str(folder / "out")]) == 0
+    return folder
+
+
+def test_the_program_stops_at_each_point(points, tmp_path):
+    program = program_of(points / "out", tmp_path / "p.csv", "--feed", "20mm/s")
     joints = [f"j{k}_rad" for k in range(1, 5)]
-    lines = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
-    program = np.array([[float(row[name]) for name in joints] for row in csv.DictReader(lines)])
-    points = [row for row in rows_of(tmp_path / "out", "trajectory.csv") if row["seam"].startswith("left")]
-    assert len({row["seam"] for row in points}) == 3
-    for point in points:
+    program = np.array([[float(row[name]) for name in joints] for row in program])
+    visited = [row for row in rows_of(points / "out", "trajectory.csv") if row["seam"].startswith("left")]
+    assert len({row["seam"] for row in visited}) == 3
+    for point in visited:
         apart = np.abs(program - [float(point[name]) for name in joints]).max(axis=1)
         assert apart.min() < 1e-8
         assert np.abs(np.diff(program, axis=0)).max(axis=1)[max(0, apart.argmin() - 1)] < 1e-5
+
+
+def test_a_seam_with_its_own_feed_takes_the_time_that_this_feed_needs(with_own_keys, tmp_path, capsys):
+    rows = program_of(with_own_keys, tmp_path / "own.csv", "--set", "program.feed=20mm/s")
+    assert "20 mm/s on right" in capsys.readouterr().out
+    path = toy.workpiece().path
+    for name, feed, points in (("left", 0.01, path[:5]), ("right", 0.02, path[5:])):
+        times = [float(row["time_s"]) for row in rows if row["seam"] == name and row["kind"] == Kind.PROCESS.name]
+        seconds = np.linalg.norm(np.diff(points, axis=0), axis=1).sum() / feed
+        assert seconds < times[-1] - times[0] < seconds + 0.5
+
+
+def test_the_feed_of_the_command_line_replaces_those_of_seams_with_a_note(with_own_keys, tmp_path, capsys):
+    program_of(with_own_keys, tmp_path / "all.csv", "--feed", "20mm/s")
+    printed = capsys.readouterr()
+    assert "--feed 20mm/s replaces the feeds of seams: left (10mm/s)" in printed.err and "feed" in printed.out
+    assert "mm/s on" not in printed.out
+
+
+def test_a_program_without_a_feed_for_a_seam_is_refused_with_its_name(with_own_keys, tmp_path, capsys):
+    assert main(["program", str(with_own_keys), "--out", str(tmp_path / "p.csv")]) == 2
+    assert "the feed rate of the seam 'right' is missing: set program.feed" in capsys.readouterr().err
+
+
+def test_a_program_with_a_column_seam_is_read_and_proven(with_own_keys, tmp_path, capsys):
+    program_of(with_own_keys, tmp_path / "own.csv", "--feed", "20mm/s")
+    command = ["prove", str(tmp_path / "own.csv"), "--job", str(with_own_keys.parent / "job.yaml")]
+    assert main([*command, "--out", str(tmp_path / "proof")]) == 0
+    assert "proven: guaranteed clearance" in capsys.readouterr().out
+
+
+def test_a_proof_of_a_file_counts_the_points_that_it_visits(points, tmp_path, capsys):
+    command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
+    assert main([*command, "--job", str(points / "job.yaml")]) == 0
+    assert "points visited      3 of 3, within 1 mm" in capsys.readouterr().out
+    text = (points / "job.yaml").read_text().replace('"rows": [2, 3]', '"rows": [1, 4]')
+    (points / "more.yaml").write_text(text)
+    assert main([*command, "--job", str(points / "more.yaml")]) == 0
+    assert "points visited      3 of 4, within 1 mm; not left 1" in capsys.readouterr().out
+    fits("proof", json.loads((tmp_path / "proof" / "proof.json").read_text()))
+
+
+def test_a_proof_of_points_only_counts_them_without_a_length(points, tmp_path, capsys):
+    text = (points / "job.yaml").read_text().replace('"rows": [5, 5]', '"rows": [5, 5], "points": true')
+    (points / "only.yaml").write_text(text)
+    command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
+    assert main([*command, "--job", str(points / "only.yaml")]) == 0
+    printed = capsys.readouterr().out
+    assert "points visited      8 of 8" in printed and "path covered" not in printed
 
 
 def test_a_saved_plan_whose_seams_do_not_ascend_is_refused(complete, tmp_path, capsys):
@@ -208,13 +292,68 @@ def test_tangents_do_not_cross_from_seam_to_seam():
     ([LEFT | {"path": "empty_cell.csv", "rows": None}], "row 3 has no value in the column seam; each row"),
     ([LEFT | {"points": True, "direction": "forward"}], "seam 'left' has points: true; its key direction would"),
     ([LEFT | {"begins_at": 2}], "seam 'left': begins_at is for a seam with closed: true"),
-    ([LEFT | {"direction": "up"}], "direction"),
-    ([LEFT | {"pth": "x"}], "unknown key workpiece.seams.0.pth"),
-    ([LEFT | {"path": "missing.csv", "rows": None}], "missing.csv"),
+    ([LEFT, RIGHT | {"direction": "up"}], "workpiece.seams.2.direction"),
+    ([LEFT | {"feed": "20"}], "workpiece.seams.1.feed: feed '20' is not a speed above 0 with a unit"),
+    ([LEFT | {"margin_m": -1}], "workpiece.seams.1.margin_m is -1: at least 0 is needed, in metres"),
+    ([LEFT | {"task": [{"axis": "tcp.q", "towards": [0, 0, 1]}]}], "workpiece.seams.1.task.1: axis is 'tcp.q'"),
+    ([LEFT | {"pth": "x"}], "unknown key workpiece.seams.1.pth"),
+    ([LEFT | {"path": "missing.csv", "rows": None}], "missing.csv: no such file"),
+    ([LEFT | {"path": "empty.csv", "rows": None}], "seam 'left': "),
 ])  # fmt: skip
 def test_an_invalid_list_of_seams_is_refused_in_one_line(tmp_path, seams, words):
     message = refusal(tmp_path, *seams)
     assert words in message and "\n" not in message
+
+
+POINT, AXIS = {"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": [0, 0, 1], "cone_deg": 90}
+
+
+def test_on_a_seam_with_its_own_task_the_goals_and_the_margin_are_its_own(tmp_path):
+    own = {"task": [POINT, AXIS | {"towards": [1, 0, 0], "cone_deg": 30}], "margin_m": 0.002}
+    job = load_config(write_job(tmp_path, LEFT, RIGHT | own, task=[POINT, AXIS], start_rad="auto"))
+    *_, scenario = build.resolved_scene(job)
+    np.testing.assert_allclose(scenario.goals[:, 3:], [[0, 0, 1, np.pi / 2]] * 6 + [[1, 0, 0, np.pi / 6]] * 5)
+    np.testing.assert_allclose(scenario.seam_margins_m[:, 0], [5e-4] * 6 + [2e-3] * 5)
+    np.testing.assert_allclose(scenario.goals[1:, :3], toy.workpiece().path)
+
+
+def test_each_seam_keeps_its_own_margin_and_the_validation_requires_it(with_own_keys, tmp_path):
+    rows = rows_of(with_own_keys, "trajectory.csv")
+    order, least = summary(with_own_keys)["order"], {"left": 0.004, "right": 0.002}
+    for name, margin_m in least.items():
+        assert all(float(row["clearance_m"]) >= margin_m for row in rows if row["seam"] == name)
+    assert {visit["name"]: visit["margin_m"] for visit in order["visits"]} == least
+    assert main(["validate", str(with_own_keys)]) == 0
+    shutil.copytree(with_own_keys, tmp_path / "near")
+    record = json.loads((tmp_path / "near" / "summary.json").read_text())
+    for seam in record["config"]["workpiece"]["seams"]:
+        seam["margin_m"] = 0.05 if seam["name"] == "left" else seam["margin_m"]
+    (tmp_path / "near" / "summary.json").write_text(json.dumps(record))
+    assert main(["validate", str(tmp_path / "near")]) == 1
+    refuted = json.loads((tmp_path / "near" / "validation.json").read_text())["refuted"]
+    targets = {visit["name"]: range(visit["first"], visit["last"] + 1) for visit in order["visits"]}
+    assert refuted and all(one["target"] in targets["left"] for one in refuted)
+    assert "less than margin_m" in refuted[0]["reason"]
+
+
+def test_the_own_keys_of_the_only_seam_are_those_of_the_job(tmp_path):
+    own = {"task": [POINT, AXIS], "margin_m": 0.002, "feed": "5mm/s"}
+    job = build.resolved_scene(load_config(write_job(tmp_path, LEFT | own)))[0]
+    assert (job.margin_m, job.program.feed, len(job.task)) == (0.002, "5mm/s", 2)
+    assert job.workpiece.seams[0].task == () and job.workpiece.seams[0].margin_m is None
+
+
+@pytest.mark.parametrize("task, words", [
+    ([POINT], "its task has the rows point tcp; the job's: point tcp, axis tcp.z; a seam's task has the rows of"),
+    ([POINT | {"within_m": 1e-3}, AXIS], "task.1 (point tcp) has a tolerance, but the job's has none; a seam's"),
+    ([POINT, AXIS | {"axis": "tcp.x"}], "task.2 (axis tcp.x) is of another kind than the job's (axis tcp.z); a seam's"),
+    ([POINT, AXIS | {"towards": "path.normal", "axis": "top.z"}], "task.2: "),
+])  # fmt: skip
+def test_a_task_of_a_seam_with_other_kinds_of_rows_is_refused_in_one_line(tmp_path, capsys, task, words):
+    file = write_job(tmp_path, LEFT, RIGHT | {"task": task}, task=[POINT, AXIS])
+    assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"seam 'right': {words}" in line
 
 
 def test_a_path_and_seams_exclude_each_other_in_one_file_and_the_later_one_replaces_the_other(tmp_path):

@@ -8,7 +8,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.spec import feed as feed_rates
 
 _FEED = f"Feed rate of the TCP along the path, for example 20mm/s; units: {', '.join(feed_rates.UNITS)}."
-Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the job's.")]
+Feed = Annotated[str | None, typer.Option(metavar="SPEED", help=f"{_FEED} By default the seam's or the job's.")]
 PlayedFeed = Annotated[str | None, typer.Option("--feed", metavar="SPEED", help=f"Play the timed motion. {_FEED}")]
 OneWay = Annotated[bool, typer.Option("--one-way", help="Stop at the last target; do not return to home or the start.")]
 ProgramKeys = Annotated[

@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -49,7 +49,7 @@ from htcp_jax.trajectory import (
     limits_overrides,
     program_figures,
     program_of,
-    requested_feed,
+    requested_feeds,
     with_program,
     worst_deviation,
 )
@@ -118,7 +118,8 @@ def program(
     """Time the motion of a plan and write it as a robot program for a controller.
 
     The motion leads from home, or the start, along the path to the last target and back. Along the path the TCP moves
-    at the required feed rate; elsewhere the arm moves as fast as the joint limits allow. The table lists where a limit
+    at the required feed rate: of --feed, else of the seam, else of the job; elsewhere the arm moves as fast as the
+    joint limits allow. The table lists where a limit
     reduces the feed, the feed there, and the limiting joint. Limits and controller data are in the job's section
     program; --limits takes precedence over it, and --set over both.
 
@@ -164,9 +165,10 @@ def program(
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
     plans, step_s = open_plans(run), _step_seconds(step_ms)
+    _note_feeds(feed, plans.config)
     in_file = _limits_in_file(limits, plans.config)
     changes = [*in_file.overrides, *(overrides or ())]
-    feed_m_s = requested_feed(feed, with_program(plans.config, changes))
+    feed_m_s = requested_feeds(feed, with_program(plans.config, changes))
     made = program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
     if in_file.stated is not None:
         check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
@@ -186,7 +188,7 @@ def program(
     if overloaded := torque is not None and torque.share > 1:
         warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    written = _Written(found, manipulability, torque, checked, _near_part(made.job), paths, proof)
+    written = _Written(found, manipulability, torque, checked, _near_part(made.job), paths, proof, made.seam_feeds)
     if proof.is_undecided:
         warnings.warn(refusal(proof), stacklevel=1)
     if as_json:
@@ -211,14 +213,16 @@ class _Written(NamedTuple):
     near_part: dict[str, str]  # a fact about the speed near the part; empty at full speed
     paths: dict[Path, range]  # the files, the main one first, with the rows of their configurations
     proof: ProgramProof
+    seam_feeds: Mapping[str, float]  # feed rate of each seam [m/s]; empty if all are equal
 
 
 def _print_record(written: _Written, deviation: dict) -> None:
     """Print a program's figures, its largest torque, its file's deviation, the result of --check and files as JSON."""
-    found, manipulability, torque, checked, _, paths, proof = written
+    found, manipulability, torque, checked, _, paths, proof, seam_feeds = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
     record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
+    record["seam_feeds_m_s"] = dict(seam_feeds)
     parts = [{"file": str(path), "first": rows.start, "configurations": len(rows)} for path, rows in paths.items()]
     record |= deviation | {"proof": proof_record(proof)}
     print_json({**record, "check": checked or None, "file": str(next(iter(paths))), "files": parts})
@@ -226,11 +230,11 @@ def _print_record(written: _Written, deviation: dict) -> None:
 
 def _print_written(title: str, written: _Written, deviation: dict[str, str]) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
-    found, manipulability, torque, checked, near_part, paths, proof = written
+    found, manipulability, torque, checked, near_part, paths, proof, seam_feeds = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
     files = {"file": str(next(iter(paths))), **part_facts(paths)}
     checks = {**deviation, **proof_facts(proof), **by_mujoco}
-    print_facts(title, {**_program_facts(found), **near_part, "torque": _torque(torque), **checks, **files})
+    print_facts(title, {**_program_facts(found, seam_feeds), **near_part, "torque": _torque(torque), **checks, **files})
     if not found.drops:
         return
     stdout().print()
@@ -334,12 +338,21 @@ def _near_part(job: PlanConfig) -> dict[str, str]:
     return {"near the part": f"{speed} within {1e3 * program.near_part_m:g} mm of it, before and after the path"}
 
 
-def _program_facts(found: ProgramFigures) -> dict[str, str]:
+def _note_feeds(feed: str | None, job: PlanConfig) -> None:
+    """Note that --feed replaces the feeds of seams."""
+    own = [f"{seam.name} ({seam.feed})" for seam in job.workpiece.seams if seam.feed is not None]
+    if feed is not None and own:
+        warnings.warn(f"--feed {feed} replaces the feeds of seams: {', '.join(own)}", Note, stacklevel=1)
+
+
+def _program_facts(found: ProgramFigures, seam_feeds: Mapping[str, float]) -> dict[str, str]:
     parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
     held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
     if found.reason is not None:
         held += f"; {1e3 * found.reached_m_s:.3g} mm/s reached everywhere, limited by {found.reason}"
-    facts = {"duration": f"{found.duration_s:.2f} s: {parts}", "feed": f"{1e3 * found.feed_m_s:g} mm/s, {held}"}
+    feeds = ", ".join(f"{1e3 * feed:g} mm/s on {name}" for name, feed in seam_feeds.items())
+    facts = {"duration": f"{found.duration_s:.2f} s: {parts}"}
+    facts["feed"] = f"{feeds or f'{1e3 * found.feed_m_s:g} mm/s'}, {held}"
     for each in found.shares:
         facts[each.limit] = f"{100 * each.share:.1f} % of the limit at most, {each.joint} at {each.time_s:.2f} s"
     return facts

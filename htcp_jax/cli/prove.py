@@ -26,6 +26,7 @@ from htcp_jax.report import Table, draw_proof
 from htcp_jax.system import output_files
 
 LISTED = 10  # maximum number of groups of segments on the terminal
+MOST_MISSED = 5  # names of points that are not visited, on the terminal
 STYLES = {"proven": "bold green", "refuted": "bold red", "undecided": "bold yellow", "not proven": "bold yellow"}
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Trajectory or robot program.")]
@@ -190,12 +191,19 @@ def _deviation_facts(found: FileProof) -> dict[str, str]:
     else:
         worst = proof_record.lines_of(found, deviation.segment)
         compared, places = proof_record.lines_of(found, deviation.first, deviation.last), "at sampled places"
-    covered = 100 * deviation.covered_m / deviation.length_m
     facts = {
         "path deviation": f"{1e3 * deviation.distance_m:.3g} mm on {worst}, {places} "
         f"(tolerance {1e3 * deviation.tolerance_m:g} mm)",
-        "path covered": f"{covered:.1f} % of {1e3 * deviation.length_m:.4g} mm, compared on {compared}",
     }
+    if deviation.length_m:
+        covered = 100 * deviation.covered_m / deviation.length_m
+        facts["path covered"] = f"{covered:.1f} % of {1e3 * deviation.length_m:.4g} mm, compared on {compared}"
+    if deviation.points:
+        count = f"{deviation.points - len(deviation.missed)} of {deviation.points}"
+        names = [found.scene.job.workpiece.seams[k].name for k in deviation.missed] if found.scene.job else []
+        lacking = f"; not {', '.join(names[:MOST_MISSED])}" if names else ""
+        more = f" and {len(names) - MOST_MISSED} more" if len(names) > MOST_MISSED else ""
+        facts["points visited"] = f"{count}, within {1e3 * (found.near_m or 0.0):g} mm{lacking}{more}"
     rows = []
     for row in deviation.rows:
         size = f"{math.degrees(row.error):.3g} deg" if row.is_angle else f"{1e3 * row.error:.3g} mm"

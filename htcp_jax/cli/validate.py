@@ -40,7 +40,8 @@ def validate(
     between targets: collisions at samples, path deviation, joint speeds. Writes validation.json into the folder, for
     htcp report. If the folder contains a check of the same results with more samples, it is not overwritten.
 
-    Exit codes: 0 if no target is refuted, 1 if one is, 2 on bad input.
+    Exit codes: 0 if no target is refuted, 1 if one is, 2 on bad input. A target or seam that the plan lacks is not
+    refuted: it is named, and the exit code of htcp plan is 3.
 
     \b
     Examples:

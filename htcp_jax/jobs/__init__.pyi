@@ -5,6 +5,7 @@ from .grid import Sweep, load_sweep, load_sweep_or_job
 from .grid_points import points_of
 from .load_config import load_config, seeded, source_of, with_kinds
 from .resolve import resolve, with_weights
+from .seam_keys import margin_of, seam_of_rows
 
 __all__ = [
     "Batch",
@@ -15,8 +16,10 @@ __all__ = [
     "load_config",
     "load_sweep",
     "load_sweep_or_job",
+    "margin_of",
     "points_of",
     "resolve",
+    "seam_of_rows",
     "seam_scenarios",
     "seeded",
     "shapes_in_world",

@@ -26,7 +26,8 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
-from htcp_jax.jobs.seam_paths import check_one_seam, is_file, points_of_seams
+from htcp_jax.jobs.seam_keys import with_goals_of_seams, with_margins_of_seams
+from htcp_jax.jobs.seam_paths import is_file, points_of_seams
 from htcp_jax.model import (
     InletDirection,
     Robot,
@@ -41,7 +42,6 @@ from htcp_jax.model import (
     task_of,
     tcp_at,
     thinnest_nearby,
-    with_goals,
 )
 from htcp_jax.model import robot as robots
 from htcp_jax.spec import (
@@ -81,7 +81,6 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
         source: Name of the job, for messages.
     """
     job, robot = with_robot(job, source)
-    check_one_seam(job.workpiece)
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
@@ -265,7 +264,7 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = with_goals_of_job(scenario, job, task, robot, workpiece)
+    scenario = with_margins_of_seams(with_goals_of_job(scenario, job, task, robot, workpiece), job, workpiece)
     if beyond_reach == "raise":
         check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
@@ -273,8 +272,8 @@ def scenario_of(
 
 @_rows_by_key()
 def with_goals_of_job(scenario: Scenario, job: PlanConfig, task: Task, robot: Robot, workpiece: Workpiece) -> Scenario:
-    """Return the scenario with the goals of the job's task, see `model.with_goals`."""
-    return with_goals(scenario, job.task, task, robot, workpiece)
+    """Return the scenario with the goals of the job's task, or of its seams' tasks, see `model.with_goals`."""
+    return with_goals_of_seams(scenario, job, task, robot, workpiece)
 
 
 def follower_at(job: PlanConfig, robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs.seam_keys import with_keys_of_only_seam
 from htcp_jax.jobs.seam_paths import with_seams_of_files
 from htcp_jax.model import Robot
 from htcp_jax.spec import PlanConfig
@@ -25,9 +26,12 @@ def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") ->
 
 
 def with_seams(job: PlanConfig) -> PlanConfig:
-    """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`."""
+    """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`.
+
+    If there is only one seam, its own task, margin and feed become the job's.
+    """
     part = with_seams_of_files(job.workpiece)
-    return job if part is job.workpiece else job.model_copy(update={"workpiece": part})
+    return with_keys_of_only_seam(job if part is job.workpiece else job.model_copy(update={"workpiece": part}))
 
 
 def check_start(job: PlanConfig, robot: Robot, source: str) -> None:

@@ -1,7 +1,7 @@
 """Paths of a part's seams: the seams that its files contain, and the points of all seams in the order of work."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -52,7 +52,7 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
         seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count)) for each in found]
         check_seams(seams)
         return part.model_copy(update={"path": SEVERAL, "seams": tuple(seams)})
-    split = {seam.name: _split(seam, read(seam.path)) for seam in part.seams}
+    split = {seam.name: _split(seam, _points_of(seam, read)) for seam in part.seams}
     names = {name: tuple(own.name for own in found) for name, found in split.items()}
     seams = [
         own.model_copy(update={"after": tuple(name for other in seam.after for name in names[other])})
@@ -91,7 +91,7 @@ def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
             seam's last point is not its first one; and if `begins_at` is not one of its rows.
     """
     read = _reader(part)
-    found = [_travelled(seam, read(seam.path)) for seam in part.seams]
+    found = [_travelled(seam, _points_of(seam, read)) for seam in part.seams]
     joined = {}
     for name in PathFrames._fields:
         own = [getattr(each.frames, name) for each in found]
@@ -113,7 +113,7 @@ def _reader(part: WorkpieceConfig):
     def read(path: str) -> parts.PathPoints:
         if not is_file(part, path):
             if not part.is_duct or path not in SEAMS:
-                raise InputError(f"seams: {path!r} is neither a file nor a seam of the duct: {', '.join(SEAMS)}")
+                raise InputError(f"{path!r} is neither a file nor a seam of the duct: {', '.join(SEAMS)}")
             for key, value in given.items():
                 if value:
                     what = f"the path {path!r} is a seam of the generated duct, not a file; omit the key"
@@ -122,6 +122,14 @@ def _reader(part: WorkpieceConfig):
         return parts.read_path_points(Path(path), columns, part.path_unit, part.path_angles)
 
     return read
+
+
+def _points_of(seam: SeamConfig, read: Callable[[str], parts.PathPoints]) -> parts.PathPoints:
+    """Return the points of a seam's path; errors name the seam."""
+    try:
+        return read(seam.path)
+    except InputError as error:
+        raise InputError(f"seam {seam.name!r}: {error}") from None
 
 
 def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:

@@ -1,5 +1,6 @@
 """Scenarios of a part's seams: all directions of each seam, and the whole in one order of work."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -9,7 +10,7 @@ import numpy as np
 
 from htcp_jax.jobs import build
 from htcp_jax.jobs.seam_paths import points_of_seams
-from htcp_jax.model import NOT_REFUSED, Robot, Scenario, Workpiece, beyond_reach
+from htcp_jax.model import NOT_REFUSED, Robot, Scenario, Workpiece, beyond_reach, interior_rule
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.sequencing import Variants
 from htcp_jax.spec import AUTO, PlanConfig, SeamConfig
@@ -31,7 +32,8 @@ class SeamScenarios(NamedTuple):
 def seam_scenarios(job: PlanConfig, robot: Robot) -> SeamScenarios:
     """Return the scenarios of a resolved job with several seams.
 
-    The motion begins at `home_rad`, or else at `start_rad` unless it is auto.
+    The motion begins at `home_rad`, or else at `start_rad` unless it is auto. A UserWarning states that the rule for
+    the inside of the part is off although an inlet is given.
 
     Raises:
         InputError: See `build.workpiece_of` and `build.scenario_of`.
@@ -48,6 +50,9 @@ def seam_scenarios(job: PlanConfig, robot: Robot) -> SeamScenarios:
     job = _with_seams(job, own)
     workpiece = build.workpiece_of(job.workpiece, robot)
     whole = build.scenario_of(job, robot, workpiece, beyond_reach="record")
+    rule = interior_rule(workpiece, whole)
+    if job.workpiece.inlet_m is not None and job.workpiece.interior == "hull" and rule.startswith("off"):
+        warnings.warn(f"workpiece.inlet_m is given, but the rule for the inside of the part is {rule}", stacklevel=2)
     bounds = [0, *workpiece.seam_begins, len(workpiece.path)]
     parts = [_rows(whole, robot, a, b) for a, b in pairwise(bounds)]
     names = [each.name for each in seams]
@@ -95,10 +100,16 @@ def _rows(whole: Scenario, robot: Robot, first: int, last: int) -> Scenario:
     on_path = int(whole.on_path)
     rows = on_path + np.array([first] * on_path + list(range(first, last)))
     targets = whole.targets[rows]
+    margins = whole.margin_m, whole.segment_margin_m
+    if whole.seam_margins_m is not None:
+        margins = whole.seam_margins_m[rows[-1]]
     is_far = beyond_reach(robot, targets, float(whole.tool_extension_m)).any()
     return replace(
         whole,
         targets=targets,
+        margin_m=np.asarray(margins[0]),
+        segment_margin_m=np.asarray(margins[1]),
+        seam_margins_m=None,
         task_goals=None if whole.task_goals is None else whole.task_goals[rows],
         count=np.array(len(rows), np.int32),
         refused=np.array(Status.OUT_OF_REACH if is_far else NOT_REFUSED, np.int32),

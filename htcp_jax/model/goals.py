@@ -24,7 +24,7 @@ from htcp_jax.model.scenario_setup import with_tool
 from htcp_jax.model.task import Task
 from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
-from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, path_row, tool_axis_row
+from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, ToolAxisRow, path_row
 
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
@@ -128,27 +128,19 @@ def with_goals(
 
 
 def tool_angles_at(
-    scenario: Scenario,
-    rows: Sequence[TaskRowKind],
-    robot: Robot,
-    workpiece: Workpiece,
-    x: Float[np.ndarray, "T N"],
-) -> Float[np.ndarray, "T 3"] | None:
+    scenario: Scenario, row: ToolAxisRow, robot: Robot, workpiece: Workpiece, x: Float[np.ndarray, "T N"]
+) -> Float[np.ndarray, "T 3"]:
     """Return the work angle, the travel angle and the spin of the tool at a plan's targets [degrees].
 
-    They are those of the task's first row with tool angles; None without such a row. NaN before the path, and where a
-    configuration is NaN. A work angle from a plate is measured as in the row.
+    NaN before the path, and where a configuration is NaN. A work angle from a plate is measured as in the row.
 
     Args:
         scenario: The scenario; its last targets are the points of the path.
-        rows: Rows of the task list.
+        row: Row of the task with the tool's axis.
         robot: The robot without the scenario's tool extension.
         workpiece: The scenario's workpiece.
         x: Configurations at the scenario's targets [rad or m].
     """
-    row = tool_axis_row(rows)
-    if row is None:
-        return None
     count = len(workpiece.path)
     part = replace(row_of(row, robot), limits=("range", "range", "range"))
     rotate, translate = scenario.T_world_workpiece[:3, :3], scenario.T_world_workpiece[:3, 3]

@@ -39,6 +39,8 @@ class Scenario:
     max_joint_step: Float[Anywhere, "*S T N"] | None = None  # maximum travel to a target [rad or m]; None: unlimited
     # If goals are inserted between targets, 3.25 is a quarter of the segment from target 3 to 4.
     place: Float[Anywhere, "*S T"] | None = None  # position of each row among the targets [1]; None: rows are targets
+    # required clearance at each target and on the segment to it, 0: only D > 0; None: as above, everywhere
+    seam_margins_m: Float[Anywhere, "*S T 2"] | None = None
 
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
@@ -56,6 +58,26 @@ class Scenario:
     def goals(self) -> Float[Anywhere, "*S T G"]:
         """Goals of the task at every target; for the paper's task, the targets."""
         return self.targets if self.task_goals is None else self.task_goals
+
+    def margins_at(self, scenario: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the required clearance at some targets of stacked scenarios [m].
+
+        Args:
+            scenario: Row of each target's scenario.
+            row: Index of each target.
+        """
+        own = self.seam_margins_m
+        return self.margin_m[scenario] if own is None else own[scenario, row, 0]
+
+    def segment_margins_to(self, scenario: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Return the required clearance on the segments of the path to some targets [m]; 0: only D > 0.
+
+        Args:
+            scenario: Row of each target's scenario.
+            row: Index of each target.
+        """
+        own = self.seam_margins_m
+        return self.segment_margin_m[scenario] if own is None else own[scenario, row, 1]
 
 
 def without_pose(T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
@@ -85,7 +107,8 @@ def concatenate(parts: Sequence[Scenario]) -> Scenario:
     def pad(rows):
         return None if rows is None else np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), (0, 0)), mode="edge")
 
-    padded = [replace(part, targets=pad(part.targets), task_goals=pad(part.task_goals)) for part in parts]
+    names = "targets", "task_goals", "seam_margins_m"
+    padded = [replace(part, **{name: pad(getattr(part, name)) for name in names}) for part in parts]
     return padded[0] if len(padded) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *padded)
 
 

@@ -1,6 +1,6 @@
 """Verification that plans are motions: they begin at the given start, the arm is proven clear, the tool is on its path.
 
-On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margin_m`, and the TCP must
+On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margins_to`, and the TCP must
 stay within `Settings.path_tolerance_m` of the line from the previous target, and advance along this line. If the arm
 changes its configuration on the segment, the TCP must stay within this distance of the previous target. On segments of
 the approach and between seams the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
@@ -72,7 +72,7 @@ def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarra
         scenario: Row of each segment's scenario (n,).
         target: Target at each segment's end (n,).
     """
-    least = scenarios.segment_margin_m[scenario]
+    least = scenarios.segment_margins_to(scenario, target)
     return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
 
 
@@ -201,13 +201,20 @@ def verify_transfers(problem: Problem, plans: Plans) -> Plans:
 def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k-1"]:
     """Return lower bounds on D along the straight joint paths between consecutive configurations; NaN if not proven.
 
+    The smallest bound is as tight as those of `tighten`.
+
     Args:
         problem: The problem; D is that of its first scenario.
         x: The configurations, off the path [rad or m].
     """
     rows = np.zeros(len(x) - 1, int)
-    proofs = _proofs(problem, StraightPaths(rows, rows, x[:-1], x[1:], np.ones(len(rows), bool)))
-    return np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
+    paths = StraightPaths(rows, rows, x[:-1], x[1:], np.ones(len(rows), bool))
+    proofs = _proofs(problem, paths)
+    found = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
+    loose = found < np.nanmin(found, initial=np.inf) / KEPT
+    if loose.any():
+        found[loose] = np.fmax(found[loose], _proofs(problem, tables.gather(paths, loose), TIGHT).clearance)
+    return found
 
 
 def tighten(problem: Problem, plans: Plans) -> Plans:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.model import Robot, Task
@@ -47,6 +48,8 @@ class PathDeviation(NamedTuple):
     length_m: float  # length of the path
     covered_m: float  # length of the path that the TCP passes within NEAR_M, or within the tolerance
     rows: tuple[RowDeviation, ...]
+    points: int = 0  # number of seams of one target
+    missed: tuple[int, ...] = ()  # numbers of those, in the job's order, that no configuration comes near
 
 
 class _Path(NamedTuple):
@@ -61,6 +64,12 @@ class _Path(NamedTuple):
     def gaps(self) -> Int[np.ndarray, "_"]:
         """Pieces of the polyline that lead from seam to seam."""
         return np.array(self.begins, int) - 1
+
+    @property
+    def singles(self) -> Int[np.ndarray, "p"]:
+        """Points that are seams of one target; none if there is only one seam."""
+        ends = np.array([0, *self.begins, len(self.points)])
+        return ends[:-1][np.diff(ends) == 1] if self.begins else np.empty(0, int)
 
     def seams_of(
         self, distance: Float[np.ndarray, "n"], place: Float[np.ndarray, "n"], near_m: float
@@ -81,7 +90,7 @@ class _Path(NamedTuple):
 
 
 def has_path(problem: Problem) -> bool:
-    """Return True if the problem's first scenario has a path of two points or more."""
+    """Return True if the problem's first scenario has a path of two points or more, or several seams."""
     return _path(problem) is not None
 
 
@@ -119,26 +128,31 @@ def path_deviation(
         return None
     on = _process(problem, path, x, kind, near_m)
     certain = np.flatnonzero(curves.is_certain & on[curves.segment])
-    if not len(certain):
+    visits = _visits(path, tcp_positions(problem, x), near_m)
+    if not len(certain) and not len(visits.row):
         return None
     share = np.linspace(0, 1, BETWEEN + 2)
     powers = share[:, None] ** np.arange(curves.coefficients.shape[1])
     sampled = np.einsum("pk,mkn->mpn", powers, curves.coefficients[certain]).reshape(-1, x.shape[1])
     segment = np.repeat(curves.segment[certain], len(share))
-    tcp = tcp_positions(problem, sampled)
+    tcp = tcp_positions(problem, sampled) if len(sampled) else np.empty((0, 3))
     distance, place = _nearest(path, tcp)
-    worst = int(distance.argmax())
     covered = _covered(path, tcp, place, distance <= near_m)
-    segments = np.flatnonzero(on)
+    to = np.minimum(visits.row, len(on) - 1)  # segments at whose beginning, or last end, points are visited
+    distance, place = np.append(distance, visits.distance_m), np.append(place, visits.point)
+    sampled, segment = np.concatenate([sampled, x[visits.row]]), np.append(segment, to)
+    worst, segments = int(distance.argmax()), np.append(np.flatnonzero(on), to)
     return PathDeviation(
-        int(segments[0]),
-        int(segments[-1]),
+        int(segments.min()),
+        int(segments.max()),
         float(distance[worst]),
         int(segment[worst]),
         float(problem.settings.tube_m),
         float(path.along[-1]),
         covered,
         _row_deviations(problem, path, sampled, place, segment, rows),
+        len(path.singles),
+        visits.missed,
     )
 
 
@@ -151,14 +165,37 @@ def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDe
     if path is None or not len(points):
         return None
     distance, place = _nearest(path, points)
-    compared = np.flatnonzero(path.seams_of(distance, place, near_m) >= 0)
+    along, visits = np.flatnonzero(path.seams_of(distance, place, near_m) >= 0), _visits(path, points, near_m)
+    covered = _covered(path, points[along], place[along], distance[along] <= near_m)
+    distance[visits.row] = np.minimum(distance[visits.row], visits.distance_m)
+    compared = np.union1d(along, visits.row)
     if not len(compared):
         return None
     first, last = int(compared[0]), int(compared[-1])
     worst = int(compared[distance[compared].argmax()])
-    covered = _covered(path, points[compared], place[compared], distance[compared] <= near_m)
     tolerance_m, length_m = float(problem.settings.tube_m), float(path.along[-1])
-    return PathDeviation(first, last, float(distance[worst]), worst, tolerance_m, length_m, covered, ())
+    about = float(distance[worst]), worst, tolerance_m, length_m, covered, ()
+    return PathDeviation(first, last, *about, len(path.singles), visits.missed)
+
+
+class _Visits(NamedTuple):
+    """Visits of seams of one target."""
+
+    point: Int[np.ndarray, "v"]  # the visited points of the path
+    row: Int[np.ndarray, "v"]  # nearest configuration to each
+    distance_m: Float[np.ndarray, "v"]  # its distance
+    missed: tuple[int, ...]  # numbers of the seams that are not visited
+
+
+def _visits(path: _Path, tcp: Float[np.ndarray, "n 3"], near_m: float) -> _Visits:
+    """Return the visits of seams of one target by TCP positions within a distance of them [m]."""
+    points = path.singles
+    if not len(points):
+        return _Visits(points, points, np.empty(0), ())
+    distance, row = scipy.spatial.KDTree(tcp).query(path.points[points])
+    near = distance <= near_m
+    number = np.searchsorted(path.begins, points[~near], "right")
+    return _Visits(points[near], np.asarray(row)[near], distance[near], tuple(number.tolist()))
 
 
 def _with_tool(problem: Problem) -> Robot:
@@ -175,7 +212,7 @@ def _path(problem: Problem) -> _Path | None:
     pieces = np.linalg.norm(np.diff(points, axis=0), axis=1)
     pieces[np.array(begins, int) - 1] = 0.0
     path = _Path(points, goals, np.append(0.0, np.cumsum(pieces)), begins)
-    return path if path.along[-1] > 0 else None
+    return path if path.along[-1] > 0 or len(path.singles) else None
 
 
 def _process(

@@ -7,8 +7,10 @@
 The viewer, the report and the validation use it.
 """
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,8 @@ SEARCH, MOTIONS = "place.json", "ranked"
 
 class RunPlans:
     """Plans of a run. In an unfinished run, a method has results for some of the scenarios."""
+
+    missing: Mapping[str, str] = MappingProxyType({})  # reasons for seams that the plans lack, by name
 
     def __init__(self, run: Run):
         shards = run.manifest.shards
@@ -113,6 +117,7 @@ class FolderPlan:
 
     def __init__(self, folder: Path, record: PlanRecord):
         self.folder, self.methods, self.count, self.mixed = folder, (record.method,), 1, False
+        self.missing = record.missing  # reasons for seams that the plan lacks, by name
         self.config = recorded_config(record.config, folder / SUMMARY)
         self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}

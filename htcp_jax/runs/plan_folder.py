@@ -36,6 +36,7 @@ class PlanRecord(NamedTuple):
     via_points: tuple[np.ndarray, np.ndarray, np.ndarray]  # target (n,), x (n, N), share (n,); see `ViaPoints`
     seam_begins: np.ndarray  # first targets of later seams
     retract: tuple[np.ndarray, np.ndarray] | None  # fields of `Retract`; None: the motion reversed
+    missing: dict[str, str]  # reasons for seams that the plan lacks, by name
 
 
 def refuse_run(folder: Path) -> None:
@@ -63,7 +64,9 @@ def read_plan(folder: Path) -> PlanRecord:
         via_points = target, x, found.get("via_point_share", np.zeros(len(target)))
         own = {name: found[name] for name in plan_arrays.ARRAYS}
         back = (found["retract_x"], found["retract_clearance"]) if "retract_x" in found else None
-        return PlanRecord(method, config, hashes, own, via_points, found.get("seam_begins", np.zeros(0, int)), back)
+        missing = {str(name): str(reason) for name, reason in summary.get("order", {}).get("missing", {}).items()}
+        begins = found.get("seam_begins", np.zeros(0, int))
+        return PlanRecord(method, config, hashes, own, via_points, begins, back, missing)
     except OSError as error:
         raise InputError(f"{folder} contains no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:

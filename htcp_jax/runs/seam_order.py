@@ -1,12 +1,15 @@
 """`SeamOrder`: the order of a plan's seams, as text and for files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from htcp_jax.jobs import margin_of
 from htcp_jax.motion import Plans, plans
 from htcp_jax.sequencing import SeamSequence
-from htcp_jax.spec import SeamConfig
+from htcp_jax.spec import PlanConfig
 from htcp_jax.status import NOT_TRIED
+
+MOST_NAMED = 8  # more seams are counted in titles
 
 
 class SeamVisit(NamedTuple):
@@ -18,6 +21,8 @@ class SeamVisit(NamedTuple):
     last: int  # last target
     air_move_s: float | None  # time of the air move to it, at the joints' full speed; None if the motion begins here
     clearance_m: float  # guaranteed clearance along the seam and the air move to it
+    margin_m: float  # required clearance at its targets
+    feed: str | None  # feed rate with its unit, as in the job; None: neither the seam nor the job has one
 
 
 class SeamOrder(NamedTuple):
@@ -27,27 +32,40 @@ class SeamOrder(NamedTuple):
     missing: dict[str, str]  # name of the seam -> reason
     time_s: float  # of the whole motion at the joints' full speed
     bound_s: float  # lower bound on this time for all orders of the seams' plans
+    retract_clearance_m: float | None  # guaranteed clearance on the way back home; None without a home
 
     @classmethod
     def of(
-        cls, seams: Sequence[SeamConfig], made: Plans, sequence: SeamSequence, missing: Mapping[str, plans.Outcome]
+        cls, job: PlanConfig, made: Plans, sequence: SeamSequence, missing: Mapping[str, plans.Outcome]
     ) -> "SeamOrder":
         """Return the order of a plan.
 
         Args:
-            seams: The seams that are done, in order.
+            job: The job; its first seams are those that are done, in order.
             made: The plan of all seams.
             sequence: The order.
             missing: The outcome of each seam that is not done, by name.
         """
+        seams = job.workpiece.seams[: len(sequence.visits)]
         bounds = [0, *made.seam_begins, made.status.shape[1]]
         times: list[float | None] = [move.time_s for move in sequence.moves]
         times = times if len(times) == len(seams) else [None, *times]
         visits = [
-            SeamVisit(seam.name, seam.direction, a, b - 1, time, float(made.segment_clearance[0, a:b].min()))
+            SeamVisit(
+                *(seam.name, seam.direction, a, b - 1, time, float(made.segment_clearance[0, a:b].min())),
+                *(margin_of(job, seam), seam.feed or job.program.feed),
+            )
             for seam, a, b, time in zip(seams, bounds, bounds[1:], times, strict=False)
         ]
-        return cls(tuple(visits), {name: _reason(end) for name, end in missing.items()}, *sequence[3:5])
+        reasons = {name: _reason(end) for name, end in missing.items()}
+        back = None if made.retract is None else float(made.retract.clearance.min())
+        return cls(tuple(visits), reasons, *sequence[3:5], back)
+
+    @property
+    def done(self) -> str:
+        """Names of the seams that are done; of many, their number."""
+        names = [visit.name for visit in self.visits]
+        return f"{len(names)} seams" if len(names) > MOST_NAMED else ", ".join(names) or "no seam"
 
     def facts(self) -> dict[str, str]:
         """Return the order as text by label."""

@@ -96,7 +96,7 @@ def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plan
     """
     visits, has_home = sequence.visits, sequence.retract is not None
     plans = in_order([visit.plans for visit in visits], missing)
-    first = np.array([0, *plans.seam_begins][: len(visits)])  # target 0 is the first seam's first point, repeated
+    first = np.array([0, *plans.seam_begins][: len(visits)], int)  # target 0 is the first seam's first point, repeated
     start = problem.scenarios.x_home if has_home else plans.start
     to = first.tolist() if has_home else first[1:].tolist()
     added = [(0, target, move.via_points) for target, move in zip(to, sequence.moves, strict=True)]

@@ -22,7 +22,7 @@ from pydantic import (
 
 from htcp_jax.errors import InputError
 from htcp_jax.settings import Settings
-from htcp_jax.spec import model_source, obstacle_kind, strict_model, task_list
+from htcp_jax.spec import model_source, obstacle_kind, strict_model
 from htcp_jax.spec.choices import (
     CHOSEN_ANGLES,
     GP50,
@@ -36,15 +36,12 @@ from htcp_jax.spec.choices import (
 )
 from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD, merged
 from htcp_jax.spec.defaults import own_defaults
-from htcp_jax.spec.feed import feed_of
-from htcp_jax.spec.given_kinds import built_in_row, kind_validator, needs_kind, record_of
+from htcp_jax.spec.feed import Feed
+from htcp_jax.spec.given_kinds import Row, kind_validator, needs_kind, record_of
 from htcp_jax.spec.model_source import WORLD
 from htcp_jax.spec.registry import NAME
 from htcp_jax.spec.seam_list import SeamConfig, check_seams
-from htcp_jax.spec.task_list import AxisRow, OrientationRow, PointRow
-from htcp_jax.spec.task_row_kind import TaskRowKind
 from htcp_jax.spec.tool import Tool
-from htcp_jax.spec.tool_angles import ToolAxisRow
 
 FARTHEST = 1e9  # maximum coordinate in a file [m]
 LARGEST = 1e6  # maximum length [m] and joint position; rounding errors of larger values exceed the tolerance
@@ -145,13 +142,7 @@ CoupledAxes = Annotated[
 ]
 StartAngles = Annotated[tuple[Number, ...], WrapValidator(_start), PlainSerializer(lambda value: value)]
 
-# An entry {kind: NAME, ...} has a kind from another package. A task row without the key kind is a built-in one.
-Row = Annotated[
-    PointRow | AxisRow | OrientationRow | ToolAxisRow,
-    PlainValidator(built_in_row),
-    WrapValidator(kind_validator(task_list.TASK_ROWS, TaskRowKind)),
-    PlainSerializer(record_of),
-]
+# An entry {kind: NAME, ...} has a kind from another package.
 Obstacle = Annotated[
     Any,
     AfterValidator(needs_kind),
@@ -302,7 +293,7 @@ class WorkpieceConfig(strict_model.FileSection):
     @property
     def path_label(self) -> str:
         """The name of the path's file or seam, or the names of all seams."""
-        return ", ".join(seam.name for seam in self.seams) or Path(self.path).name
+        return ", ".join(dict.fromkeys(seam.name for seam in self.seams)) or Path(self.path).name
 
     @property
     def is_duct(self) -> bool:
@@ -383,7 +374,7 @@ class JointGroupsConfig(strict_model.FileSection):
 class ProgramConfig(strict_model.FileSection):
     """Feed rate, joint limits and controller data for robot programs; without influence on plans."""
 
-    feed: str | None = None  # feed rate of the TCP on the path, with its unit: 20mm/s
+    feed: Feed | None = None  # feed rate of the TCP on the path, with its unit: 20mm/s
     velocity: JointRates | None = None  # [rad/s or m/s]; None: the model's
     acceleration: JointRates | None = None  # [rad/s2 or m/s2]; None: the model's, or by full_speed_s
     jerk: JointRates | None = None  # [rad/s3 or m/s3]; None: by full_acceleration_s
@@ -402,13 +393,6 @@ class ProgramConfig(strict_model.FileSection):
     pulses: PulsesConfig | None = None
     groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are in the robot's group
     control_step_s: float = Field(0.002, ge=1e-4, le=0.1)  # time step of the controller
-
-    @field_validator("feed", mode="before")
-    @classmethod
-    def _is_a_speed(cls, feed: Any) -> Any:
-        if feed is not None:
-            feed_of(str(feed))
-        return feed
 
 
 class RayConfig(strict_model.FileSection):

@@ -1,8 +1,10 @@
 """Conversion of feed rates with a unit, such as "20mm/s", to m/s."""
 
 import re
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from htcp_jax.errors import InputError
 
@@ -28,3 +30,12 @@ def feed_of(text: str) -> float:
     if not SLOWEST_M_S <= feed <= FASTEST_M_S:
         raise InputError(f"feed {text!r} is {feed:g} m/s; valid: {SLOWEST_M_S:g} to {FASTEST_M_S:g} m/s")
     return feed
+
+
+def _checked(feed: Any) -> Any:
+    if feed is not None:
+        feed_of(str(feed))
+    return feed
+
+
+Feed = Annotated[str, BeforeValidator(_checked)]  # feed rate in a file, with its unit

@@ -4,14 +4,15 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import PlainSerializer, PlainValidator, TypeAdapter, ValidationError, WrapValidator
 
 from htcp_jax.errors import InputError, described
-from htcp_jax.spec import obstacle_kind, strict_model, task_list
+from htcp_jax.spec import obstacle_kind, strict_model, task_list, tool_angles
 from htcp_jax.spec.kinds import ExtensionKind
 from htcp_jax.spec.registry import Registry
+from htcp_jax.spec.task_row_kind import TaskRowKind
 
 
 def kind_validator(registry: Registry, base: type[ExtensionKind]) -> Callable[[Any, Callable], Any]:
@@ -83,3 +84,12 @@ def _finite_kind(value: ExtensionKind) -> ExtensionKind:
 @cache
 def _adapter(kind: type[ExtensionKind]) -> TypeAdapter:
     return TypeAdapter(kind)
+
+
+# An entry of a task. A row with the key kind has a kind from another package; one without is a built-in row.
+Row = Annotated[
+    task_list.PointRow | task_list.AxisRow | task_list.OrientationRow | tool_angles.ToolAxisRow,
+    PlainValidator(built_in_row),
+    WrapValidator(kind_validator(task_list.TASK_ROWS, TaskRowKind)),
+    PlainSerializer(record_of),
+]

@@ -3,7 +3,7 @@
 seams:
   - {name: rib, path: rib.csv}
   - {name: flange, path: flange.csv, closed: true, after: [rib]}
-  - {name: holes, path: holes.csv, points: true}
+  - {name: holes, path: holes.csv, points: true, margin_m: 0.002, feed: 5mm/s}
 """
 
 from collections import Counter
@@ -15,6 +15,8 @@ from pydantic import Field, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.spec import strict_model
+from htcp_jax.spec.feed import Feed
+from htcp_jax.spec.given_kinds import Row as TaskRow
 
 Direction = Literal["either", "forward", "backward"]
 SeamName = Annotated[str, Field(min_length=1, max_length=60)]
@@ -32,6 +34,9 @@ class SeamConfig(strict_model.FileSection):
     begins_at: Row | None = None  # row of a closed seam, counted from 0, at which it begins and ends; None: any
     points: bool = False  # True: each row is a seam of one target, such as a hole or a spot
     after: tuple[SeamName, ...] = ()  # seams that must be done before this one
+    task: tuple[TaskRow, ...] = ()  # rows of the task on this seam, of the kinds of the job's rows; empty: the job's
+    margin_m: float | None = Field(None, ge=0, le=1)  # required clearance on this seam; None: the job's
+    feed: Feed | None = None  # feed rate of the TCP on this seam, with its unit; None: the job's
 
     @model_validator(mode="after")
     def _is_one_kind(self) -> "SeamConfig":

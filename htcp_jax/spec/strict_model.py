@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from htcp_jax.errors import InputError, described
 
+FROM_1 = "task", "seams"  # keys of lists whose entries messages count from 1
 KIND = "kind"  # key of entries whose kind another package defines, see `given_kinds`
 
 
@@ -66,7 +67,7 @@ def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None
             del raw[name]  # a section whose lines are all commented out
             continue
         for section in key.sections:
-            items = enumerate(value, int(name == "task")) if isinstance(value, list) else [(None, value)]
+            items = enumerate(value, int(name in FROM_1)) if isinstance(value, list) else [(None, value)]
             if key.is_mapping and isinstance(value, dict):
                 items = value.items()
             for k, item in items:

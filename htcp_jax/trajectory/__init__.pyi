@@ -8,7 +8,7 @@ from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
 from .limits import own_rates, stated_limits
 from .limits_file import check_ranges, limits_of_job, limits_overrides
-from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, with_program
+from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, requested_feeds, with_program
 from .program import Program
 from .run_timing import check_limits, time_run
 from .timed_motion import TimedMotion
@@ -39,6 +39,7 @@ __all__ = [
     "program_of",
     "program_of_plans",
     "requested_feed",
+    "requested_feeds",
     "stated_limits",
     "tcp_at",
     "time_run",

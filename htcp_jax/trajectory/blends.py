@@ -86,7 +86,13 @@ def _off_line(plans: Plans, scenario: int, motion: Motion, robot: Robot) -> Floa
     return off
 
 
-def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits, feed_m_s: float) -> list[Blend]:
+def blends(
+    robot: Robot,
+    motion: Motion,
+    left: MotionSlack,
+    limits: MotionLimits,
+    feed_m_s: float | Float[np.ndarray, "T"],
+) -> list[Blend]:
     """Return the sections of a motion, in order; legs without motion are removed.
 
     Args:
@@ -94,20 +100,22 @@ def blends(robot: Robot, motion: Motion, left: MotionSlack, limits: MotionLimits
         motion: The motion.
         left: Slack at the motion's legs.
         limits: Limits of the joints.
-        feed_m_s: Feed rate of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path; one for each target, or one for all.
     """
     polyline = _merge_short_legs(_moving_legs(robot, motion, left), limits)
     if not len(polyline.row):
         return []
     step = np.where(polyline.on_process, polyline.length, _duration(polyline.x, limits))
     whole = Curve(np.append(0.0, np.cumsum(step)), polyline.x, np.zeros(len(polyline.x)))
-    wanted = _desired_lengths(whole, polyline.on_process, limits, feed_m_s)
+    feed = np.asarray(feed_m_s)[motion.target[polyline.row]] if np.ndim(feed_m_s) else np.full(len(step), feed_m_s)
+    wanted = _desired_lengths(whole, polyline.on_process, limits, np.append(feed, feed[-1]))
     blend_length = _blend_lengths(robot, polyline, whole, wanted)
     along = np.diff(polyline.arm.tcp, axis=0) / np.maximum(polyline.length, 1e-300)[:, None]
     turned = np.einsum("ij,ij->i", along[:-1], along[1:]) < 2 * SHARPEST**2 - 1
     stops = (
         (np.diff(polyline.group) != 0)
         | (np.diff(polyline.on_process) != 0)
+        | (polyline.on_process[1:] & (np.diff(feed) != 0))
         | (polyline.on_process[1:] & turned)
         | (blend_length[1:-1] <= 0)
     )
@@ -210,12 +218,13 @@ def _blend_of(whole: Curve, blend_length: np.ndarray, a: int, b: int, polyline: 
 
 
 def _desired_lengths(
-    curve: Curve, on_process: np.ndarray, limits: MotionLimits, feed_m_s: float
+    curve: Curve, on_process: np.ndarray, limits: MotionLimits, feed_m_s: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
     """Return the blend length that the feed requires at each corner, at most half of the adjacent legs."""
     step, turns = np.diff(curve.u), np.abs(curve.turns)
     available = 0.5 * np.append(np.minimum(step[:-1], step[1:]), 0.0)
     available = np.append(0.0, available)
+    feed_m_s = feed_m_s[:, None]
     bend = 15 / 16 * turns * feed_m_s**2 / (SHARE_OF_LIMITS * limits.acceleration)
     jerk = np.sqrt(1.45 * turns * feed_m_s**3 / (SHARE_OF_LIMITS * limits.jerk))
     needed = np.maximum(np.maximum(bend, jerk).max(axis=1), 0.05 * available)

@@ -47,6 +47,7 @@ class ControllerData(NamedTuple):
     # index of each joint of the model file, counted over the motion's joints and then `locked`; None: same order
     in_file: tuple[int, ...] | None = None
     locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
+    seams: tuple[str, ...] = ()  # name of each target's seam; empty for a job of one seam
 
     @property
     def joint_groups(self) -> JointGroups:

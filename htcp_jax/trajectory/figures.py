@@ -29,7 +29,7 @@ class ProgramFigures(NamedTuple):
 
     duration_s: float  # [s]
     seconds: dict[str, float]  # duration of each kind of segment, by the name of its `status.Kind` [s]
-    feed_m_s: float  # required feed [m/s]
+    feed_m_s: float  # required feed; the largest one if seams have their own [m/s]
     path_m: float  # length of the TCP's motion on the path [m]
     held_share: float  # share of this length on which the feed is held within 1 % [1]
     reached_m_s: float  # minimum feed between the path's run-up and run-down; 0 if the arm stops there [m/s]

@@ -6,7 +6,8 @@ made.text("jbi-pulses", "WELD")
 ```
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import jax
@@ -40,7 +41,9 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 SECTION = "program."
 
-__all__ = ["PlanProgram", "program_of", "requested_feed", "timed_plan", "with_program"]
+Feeds = float | tuple[float, ...]  # feed rate of the TCP on the path [m/s]: one, or one for each seam
+
+__all__ = ["PlanProgram", "program_of", "requested_feed", "requested_feeds", "timed_plan", "with_program"]
 
 
 class PlanProgram(NamedTuple):
@@ -53,6 +56,8 @@ class PlanProgram(NamedTuple):
     method: str
     x: Float[np.ndarray, "T N"]  # configurations at the targets [rad or m]
     goals: Float[np.ndarray, "T G"]  # the task's goals at the targets [m]
+    seams: tuple[str, ...] = ()  # name of each target's seam; empty for a job of one seam
+    seam_feeds: Mapping[str, float] = MappingProxyType({})  # by the seam's name [m/s]; empty: one feed
 
     @property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -177,6 +182,7 @@ class PlanProgram(NamedTuple):
             control_step_s=requested.control_step_s,
             in_file=in_file and in_file.order,
             locked=in_file.locked if in_file else dict(self.job.robot.locked),
+            seams=self.seams,
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:
@@ -219,7 +225,7 @@ class PlanProgram(NamedTuple):
 
 def program_of(
     found: PlanSet,
-    feed_m_s: float,
+    feed_m_s: Feeds,
     method: str | None = None,
     scenario: int = 0,
     *,
@@ -230,7 +236,7 @@ def program_of(
 
     Args:
         found: The plans in a folder.
-        feed_m_s: Feed rate of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path; one for each seam, or one for all.
         method: Name of the method; None: the first method with plans.
         scenario: Number of the scenario.
         retract: True to append the retraction.
@@ -247,7 +253,7 @@ def program_of(
 
 
 def program_of_plans(
-    name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: float, method: str, *, retract: bool = True
+    name: str, plans: Plans, scenario: int, job: PlanConfig, feed_m_s: Feeds, method: str, *, retract: bool = True
 ) -> PlanProgram:
     """Return the robot program of a plan in memory.
 
@@ -256,7 +262,7 @@ def program_of_plans(
         plans: The plans.
         scenario: Row of the plan.
         job: The scenario's job.
-        feed_m_s: Feed rate of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path; one for each seam, or one for all.
         method: Name of the method, for the result.
         retract: True to append the retraction.
 
@@ -265,12 +271,21 @@ def program_of_plans(
     """
     end = plans.outcome(scenario)
     if not end.can_be_driven:
+        if lacking := _missing_seams(plans, scenario, job):
+            raise InputError(f"{name}: the plan lacks {lacking}; remove it from the job and plan the job again")
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: the motion leads to only {end.executable} of {end.targets} targets; {why}")
     robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell, job.tree), job.robot.tool_extension_m)
     goals = build.scene(job)[2].goals if job.task else None
     limits = joint_limits(robot, job.program, limits_of_job(job, robot))
     return timed_plan(plans, scenario, job, robot, goals, limits, feed_m_s, method, retract=retract)
+
+
+def _missing_seams(plans: Plans, scenario: int, job: PlanConfig) -> str:
+    """Return text with the names of the seams that a plan does not complete; "" for a job of one seam."""
+    parts = np.split(plans.executable[scenario], plans.seam_begins)
+    seams = job.workpiece.seams if plans.seam_begins else ()
+    return ", ".join(f"seam {seam.name!r}" for seam, done in zip(seams, parts, strict=False) if not done.all())
 
 
 def timed_plan(
@@ -280,7 +295,7 @@ def timed_plan(
     robot: Robot,
     goals: Float[np.ndarray, "T G"] | None,
     limits: MotionLimits,
-    feed_m_s: float,
+    feed_m_s: Feeds,
     method: str,
     *,
     retract: bool = True,
@@ -294,7 +309,7 @@ def timed_plan(
         robot: The robot with the job's tool.
         goals: Goals of the scenario [m, rad]; None if the job has no task.
         limits: The robot's limits, see `joint_limits`.
-        feed_m_s: Feed rate of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path; one for each seam, or one for all.
         method: Name of the method, for the result.
         retract: True to append the retraction.
 
@@ -308,8 +323,13 @@ def timed_plan(
     if goals is not None:
         left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
     at = plans.x[scenario], plans.target[scenario] if goals is None else goals
-    made = time_motion(robot, whole, left, limits, feed_m_s, near_part_speeds(job))
-    return PlanProgram(made, robot, job, limits, method, *at)
+    by_seam = () if isinstance(feed_m_s, float) else feed_m_s
+    number = np.searchsorted(plans.seam_begins, np.arange(plans.status.shape[1]), "right")
+    feed = np.array(by_seam)[number] if by_seam else feed_m_s
+    made = time_motion(robot, whole, left, limits, feed, near_part_speeds(job))
+    names = [seam.name for seam in job.workpiece.seams]
+    seams = tuple(names[k] for k in number.tolist()) if plans.seam_begins else ()
+    return PlanProgram(made, robot, job, limits, method, *at, seams, dict(zip(names, by_seam, strict=False)))
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:
@@ -322,6 +342,22 @@ def requested_feed(text: str | None, job: PlanConfig) -> float:
     if text is None:
         raise InputError("the feed rate is missing: pass --feed 20mm/s, or set program.feed in the job")
     return feed.feed_of(text)
+
+
+def requested_feeds(text: str | None, job: PlanConfig) -> Feeds:
+    """Return the required feed rate [m/s]: from `text` if it is not None, else each seam's own, else the job's.
+
+    Raises:
+        InputError: If it is missing, or if `text` is not a valid feed rate.
+    """
+    seams = job.workpiece.seams
+    if text is not None or all(seam.feed is None for seam in seams):
+        return requested_feed(text, job)
+    for seam in seams:
+        if seam.feed is None and job.program.feed is None:
+            remedy = "set program.feed in the job, or feed in the seam, or pass --feed 20mm/s"
+            raise InputError(f"the feed rate of the seam {seam.name!r} is missing: {remedy}")
+    return tuple(requested_feed(seam.feed, job) for seam in seams)
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:

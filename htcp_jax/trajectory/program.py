@@ -54,7 +54,8 @@ class Program(NamedTuple):
     blends: list[Blend]
     scalings: list[TimeScaling]
     joint_names: tuple[str, ...]
-    feed_m_s: float
+    feed_m_s: float  # required feed; the largest one if it is not the same on the complete path
+    feeds_m_s: tuple[float, ...]  # required feed on each section; off the path it has no effect
 
     @property
     def ends_s(self) -> Float[np.ndarray, "m"]:
@@ -145,9 +146,9 @@ class Program(NamedTuple):
     def drops(self) -> list[FeedDrop]:
         """Return the feed drops along the path, in order."""
         found, before = [], 0.0
-        for blend, scaling in zip(self.blends, self.scalings, strict=True):
+        for blend, scaling, feed in zip(self.blends, self.scalings, self.feeds_m_s, strict=True):
             if blend.on_process:
-                found += _feed_drops(blend, scaling, before, self)
+                found += _feed_drops(blend, scaling, before, feed, self)
                 before += float(scaling.path.place[-1])
         return found
 
@@ -157,7 +158,7 @@ def time_motion(
     motion: Motion,
     left: MotionSlack,
     limits: MotionLimits,
-    feed_m_s: float,
+    feed_m_s: float | Float[np.ndarray, "T"],
     near_part: ShareOfSpeed | None = None,
 ) -> Program:
     """Return the fastest program of a motion within the feed rate and the limits.
@@ -167,15 +168,16 @@ def time_motion(
         motion: The motion.
         left: Slack of the motion's proof at each leg.
         limits: Limits of the joints.
-        feed_m_s: Feed rate of the TCP on the path.
+        feed_m_s: Feed rate of the TCP on the path; one for each target, or one for all.
         near_part: Lower speed near the part, see `near_part_speeds`; None: full speed.
 
     Raises:
         InputError: If the feed rate is not above 0, or if the motion would take longer than LONGEST_S.
         NothingToTimeError: If the motion has no configurations, or if the arm does not move.
     """
-    if not 0 < feed_m_s < np.inf:
-        raise InputError(f"feed is {feed_m_s} m/s; it must be above 0")
+    for feed in np.unique(feed_m_s).tolist():
+        if not 0 < feed < np.inf:
+            raise InputError(f"feed is {feed} m/s; it must be above 0")
     if not len(motion.x):
         raise NothingToTimeError("the motion has no configurations: no target is executable")
     if not np.any(motion.x != motion.x[0]):
@@ -183,15 +185,24 @@ def time_motion(
     slowest = _slowest_limit(robot, motion, limits)
     parts = blends(robot, motion, left, limits, feed_m_s)
     paths, free = [path_of_blend(robot, part) for part in parts], near_part or (lambda path: np.inf)
-    length = sum(float(path.place[-1]) for path, part in zip(paths, parts, strict=True) if part.on_process)
-    if not length / feed_m_s <= LONGEST_S:
-        raise InputError(f"{_too_long(length / feed_m_s)}: the feed is {1e3 * feed_m_s:g} mm/s; choose a higher feed")
-    feeds = [feed_m_s if part.on_process else free(path) for part, path in zip(parts, paths, strict=True)]
+    required = [_feed_of(part, motion, feed_m_s) for part in parts]
+    seconds = sum(
+        float(path.place[-1]) / feed for path, part, feed in zip(paths, parts, required, strict=True) if part.on_process
+    )
+    on_path = [feed for part, feed in zip(parts, required, strict=True) if part.on_process] or required
+    if not seconds <= LONGEST_S:
+        raise InputError(f"{_too_long(seconds)}: the feed is {1e3 * min(on_path):g} mm/s; choose a higher feed")
+    feeds = [feed if part.on_process else free(path) for part, path, feed in zip(parts, paths, required, strict=True)]
     scalings = [time_scaling(path, limits, feed) for path, feed in zip(paths, feeds, strict=True)]
-    made = Program(motion, parts, scalings, robot.joint_names, feed_m_s)
+    made = Program(motion, parts, scalings, robot.joint_names, max(on_path), tuple(required))
     if not made.duration_s <= LONGEST_S:
         raise InputError(f"{_too_long(made.duration_s)}: {slowest}")
     return made
+
+
+def _feed_of(part: Blend, motion: Motion, feed_m_s: float | Float[np.ndarray, "T"]) -> float:
+    """Return the required feed on a section [m/s]."""
+    return float(np.asarray(feed_m_s)[motion.target[part.row[0]]]) if np.ndim(feed_m_s) else float(feed_m_s)
 
 
 def _slowest_limit(robot: Robot, motion: Motion, limits: MotionLimits) -> str:
@@ -219,10 +230,10 @@ def _too_long(seconds: float) -> str:
     return f"the motion takes {seconds:.3g} s, more than {LONGEST_S:,.0f} s"
 
 
-def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, made: Program) -> list[FeedDrop]:
-    """Return the feed drops of one section that begins `before` metres along the path."""
+def _feed_drops(blend: Blend, scaling: TimeScaling, before: float, feed: float, made: Program) -> list[FeedDrop]:
+    """Return the feed drops of one section with a required feed that begins `before` metres along the path."""
     place, speed, _, _ = scaling.speed.at(instants(scaling.speed))
-    feed, names = made.feed_m_s, made.joint_names
+    names = made.joint_names
     target = made.targets_at(blend, scaling, place)
     slow, found = np.flatnonzero(speed < HELD * feed), []
     limit = scaling.limit_at(place)

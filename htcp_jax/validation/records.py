@@ -25,7 +25,7 @@ def read_results(source: Path | Run) -> Results:
         InputError: If the folder contains no plans, or if a file is missing or damaged.
     """
     found = open.plans_of_run(source) if isinstance(source, Run) else open_plans(source)
-    return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files)
+    return Results(found.folder, _workpieces(), found.count, _tracks(found), found.files, found.missing)
 
 
 def _tracks(found: PlanSet) -> Iterator[Track]:

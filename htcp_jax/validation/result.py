@@ -62,7 +62,7 @@ class Validation(NamedTuple):
     seconds: float
     files: dict[str, str]  # SHA-256 of the validated files
     excluded: str | None = None  # unchecked capsules with the largest overlap, and its depth, as text
-    unchecked: tuple[str, ...] = ()  # sentences on obstacles and rows that are not checked
+    unchecked: tuple[str, ...] = ()  # sentences on seams, obstacles and rows that are not checked
 
 
 ROUNDING_M = 1e-9  # rounding error allowed in comparisons with 0 and with tolerances

@@ -3,10 +3,11 @@
 The planner's implementation (scenario.py, path_frames.py, workpiece.py) is part of the code that is validated.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -79,6 +80,7 @@ class Results(NamedTuple):
     count: int  # number of tracks
     tracks: Iterable[Track]
     files: dict[str, str]  # SHA-256 of the result files
+    missing: Mapping[str, str] = MappingProxyType({})  # reasons for seams that the plan lacks, by name
 
 
 def part_pose(part: configs.WorkpieceConfig, pose: Parameters) -> tuple[np.ndarray, np.ndarray]:

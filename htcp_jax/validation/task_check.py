@@ -3,7 +3,7 @@
 The code is independent of the planner's implementation of the rows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import singledispatch
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from htcp_jax.spec import (
     AxisRow,
     BuiltInRow,
     OrientationRow,
+    PlanConfig,
     PointRow,
     TaskRowKind,
     ToolAxisRow,
@@ -27,20 +28,21 @@ from htcp_jax.spec import (
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
+from htcp_jax.validation.tool_angle_check import PathAxes, angle_deviations
 
 
 class RowCheck(NamedTuple):
     """Deviation from one row of the task at n points of the path, and its tolerance, in metres or degrees."""
 
-    row: TaskRowKind
+    row: TaskRowKind  # where seams have their own tasks, the row of the first point
     off: Float[np.ndarray, "n"] | None  # deviation; None if the row's kind has no independent check
-    most: float
+    most: Float[np.ndarray, "n"]
 
     def reason(self, number: int, k: int) -> str | None:
         """Return a sentence on the row's violation at the k-th point; None if the row is satisfied."""
-        if self.off is None or self.off[k] <= self.most + ROUNDING_M:
+        if self.off is None or self.off[k] <= self.most[k] + ROUNDING_M:
             return None
-        off, most = self.factor * self.off[k], self.factor * self.most
+        off, most = self.factor * self.off[k], self.factor * self.most[k]
         return f"task.{number} ({self.row}) deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
 
     @property
@@ -57,13 +59,6 @@ class RowCheck(NamedTuple):
     def unchecked(self) -> bool:
         """True if the row's kind has no independent check."""
         return self.off is None
-
-
-class PathAxes(NamedTuple):
-    """Directions at n places of the path, in the world."""
-
-    frames: Float[np.ndarray, "n 3 3"]  # orientations of the path's frame: x along the tangent, z along the normal
-    plates: Float[np.ndarray, "n 2 3"] | None  # normals of both plates of a fillet; None: the path has none
 
 
 class PartPose(NamedTuple):
@@ -172,35 +167,34 @@ def path_frames(workpiece: WorkpieceData) -> Float[np.ndarray, "T 3 3"]:
     return np.stack([np.cross(y, z), y, z], axis=2)
 
 
-def tool_angles(
-    row: ToolAxisRow, arm: PosedArm, axes: PathAxes
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Return the work angle, travel angle and spin of a tool [rad], and the lengths of their projections.
-
-    Each angle is that of a unit vector's projection to a plane; a rotation by d in this plane moves the unit vector by
-    the angle asin(length sin d).
+def tasks_at(
+    job: PlanConfig, workpiece: WorkpieceData, point: Int[np.ndarray, "n"]
+) -> Iterator[tuple[Sequence[TaskRowKind], Int[np.ndarray, "k"]]]:
+    """Yield the rows of each task, and the positions in `point` of those points of the path that it applies to.
 
     Args:
-        row: The row that names the tool's axis.
-        arm: The arm.
-        axes: The path's directions.
+        job: The job.
+        workpiece: The part.
+        point: Indices of points of the path.
     """
-    name, k, sign = row.axis_of
-    rotation = arm.frames(name)[1]
-    to_tip, x = sign * rotation[:, :, k], rotation[:, :, (k + 1) % 3]
-    t, b, n = np.moveaxis(axes.frames, 2, 0)
-    across, along = b, n
-    if row.plate is not None:
-        normal, other = axes.plates[:, row.plate], axes.plates[:, 1 - row.plate]
-        along = other - (other * normal).sum(axis=1, keepdims=True) * normal
-        along -= (along * t).sum(axis=1, keepdims=True) * t
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        across = np.cross(t, along)
-        across *= np.sign((across * n).sum(axis=1, keepdims=True))
-    pairs = [((-to_tip * u).sum(axis=1), (-to_tip * v).sum(axis=1)) for u, v in ((across, along), (-t, n))]
-    pairs.append(((x * np.cross(to_tip, t)).sum(axis=1), (x * t).sum(axis=1)))
-    angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)
-    return angles, np.stack([np.hypot(*pair) for pair in pairs], axis=1)
+    if not any(seam.task for seam in job.workpiece.seams):
+        yield job.task, np.arange(len(point))
+        return
+    number = np.searchsorted(workpiece.seam_begins, point, "right")
+    for seam in np.unique(number).tolist():
+        yield job.workpiece.seams[seam].task or job.task, np.flatnonzero(number == seam)
+
+
+def joined_rows(parts: Sequence[tuple[list[RowCheck], Int[np.ndarray, "k"]]]) -> list[RowCheck]:
+    """Return the checks of a task's rows at all points, from those at some points and these points' positions."""
+    if len(parts) == 1:
+        return parts[0][0]
+    order = np.argsort(np.concatenate([which for _, which in parts])) if parts else []
+    found = []
+    for rows in zip(*(rows for rows, _ in parts), strict=True):
+        off = None if any(row.off is None for row in rows) else np.concatenate([row.off for row in rows])[order]
+        found.append(RowCheck(rows[0].row, off, np.concatenate([row.most for row in rows])[order]))
+    return found
 
 
 def check_rows(
@@ -274,11 +268,11 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
     if isinstance(row, ToolAxisRow):
-        exact, outside = np.rad2deg(_angle_deviations(row, arm, place.axes))
-        return RowCheck(row, np.where(outside > 0, outside + most_deg, exact), most_deg)
+        exact, outside = np.rad2deg(angle_deviations(row, arm.frames(row.axis_of[0])[1], place.axes))
+        return RowCheck(row, np.where(outside > 0, outside + most_deg, exact), np.full(len(arm.x), most_deg))
     off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
     off = np.rad2deg(off) if row.angular and off is not None else off
-    return RowCheck(row, off, limit or (most_deg if row.angular else most_m))
+    return RowCheck(row, off, np.full(len(arm.x), limit or (most_deg if row.angular else most_m)))
 
 
 @singledispatch
@@ -362,39 +356,11 @@ def _angles_hold_between(
     plates = None if a.plates is None or b.plates is None else a.plates + b.plates
     middle = PathAxes(_middle(a.frames, b.frames), plates)
     most = settings.tolerance_rad + ROUNDING_M
-    off = [_angle_deviations(row, arm, *each).max(axis=0) for each in ((a, still), (b, still), (middle, 0.5 * turn))]
+    rotation = arm.frames(row.axis_of[0])[1]
+    off = [
+        angle_deviations(row, rotation, *each).max(axis=0) for each in ((a, still), (b, still), (middle, 0.5 * turn))
+    ]
     return np.min(off, axis=0) <= most
-
-
-def _angle_deviations(
-    row: ToolAxisRow,
-    arm: PosedArm,
-    axes: PathAxes,
-    wider: Float[np.ndarray, "n"] | None = None,
-) -> Float[np.ndarray, "2 n"]:
-    """Return the largest deviation of an angle with one value, and the largest one outside a range [rad].
-
-    Args:
-        row: The row.
-        arm: The arm.
-        axes: The path's directions.
-        wider: Smallest half width of the ranges [rad]; None: as the row says.
-    """
-    found = np.zeros((2, len(arm.x)))
-    wider = np.zeros(len(arm.x)) if wider is None else wider
-    for (name, value), angle, length in zip(
-        row.angles(), *(each.T for each in tool_angles(row, arm, axes)), strict=True
-    ):
-        if value == "free":
-            continue
-        lower, upper = np.deg2rad(row.bounds_deg(name))
-        off = (angle - 0.5 * (lower + upper) + np.pi) % (2 * np.pi) - np.pi
-        beyond = np.clip(np.abs(off) - 0.5 * (upper - lower), 0.0, 0.5 * np.pi)
-        moved = np.arcsin(np.clip(length * np.sin(beyond), 0.0, 1.0))
-        moved = np.maximum(moved - np.maximum(wider - 0.5 * (upper - lower), 0.0), 0.0)
-        at = found[int(isinstance(value, tuple))]
-        np.maximum(at, np.where(moved > ROUNDING_M, moved, 0.0), out=at)
-    return found
 
 
 def _along_path(row: TaskRowKind, place: PartPose) -> dict[str, Float[np.ndarray, "n 3"]]:

@@ -18,7 +18,7 @@ from htcp_jax.validation.mujoco_arm import ArmPoses
 from htcp_jax.validation.mujoco_clearance import CheckedScene
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import ONE_POINT_M, ROUNDING_M
-from htcp_jax.validation.task_check import hold_between, holds_tcp, part_between
+from htcp_jax.validation.task_check import hold_between, holds_tcp, part_between, tasks_at
 from htcp_jax.validation.track import from_line, required_m, scene_of
 from htcp_jax.validation.validate import LoadedParts
 
@@ -92,12 +92,10 @@ def check_timed(
         begin, end = (targets[held.before] + share[:, None] * line for share in shares)
         off[held.rows] = from_line(held.tcp, begin, end)
         turns_back[held.rows] = _turns_back(held, end - begin)
-    if task:
-        ends = [
-            part_between(task, scene.rotate, scene.translate, part, held.to - on_path, share) for share in held.span.T
-        ]
-        inside = hold_between(task, arm, held.x, *ends, settings)
-        breaks[held.rows] = ~inside.all(axis=0)
+    for rows, which in tasks_at(track.config, part, held.to - on_path) if task else ():
+        to, shares = held.to[which] - on_path, held.span[which].T
+        ends = [part_between(rows, scene.rotate, scene.translate, part, to, share) for share in shares]
+        breaks[held.rows[which]] = ~hold_between(rows, arm, held.x[which], *ends, settings).all(axis=0)
     beyond = ~((timed.x >= arm.lower - ROUNDING_M) & (timed.x <= arm.upper + ROUNDING_M)).all(axis=1)
     leaves = ~(off <= settings.tube_m + ROUNDING_M)
     touches = ~(clearance > 0) | through

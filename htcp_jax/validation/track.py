@@ -20,8 +20,10 @@ from htcp_jax.validation.task_check import (
     follows_all,
     hold_between,
     holds_tcp,
+    joined_rows,
     part_between,
     path_follower,
+    tasks_at,
 )
 
 SAMPLES = 2000  # number of samples on joint paths that are checked together
@@ -125,7 +127,8 @@ def check(
     between_seams = np.isin(paths.target, begins)
     in_place[between_seams], speed[between_seams] = 0.0, 0.0
     sampled = track.claimed[paths.target] if only_claimed else np.ones(len(paths.target), bool)
-    least = max(0.0, float(at.clearance.min()), track.config.segment_margin_m)
+    least_m = _segment_margins(track, len(targets), begins)
+    least = max(0.0, float(at.clearance.min()), float(least_m.max()))
     between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, follows, least, progress)
     on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
@@ -133,7 +136,7 @@ def check(
         *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
         *_on_start(arm, track, at.clearance[0]),
         *_on_via_points(arm, track, paths),
-        *_on_segments(track, paths, between_rows, follows),
+        *_on_segments(track, paths, between_rows, follows, least_m),
         *_on_joint_steps(arm, track, paths, follows),
         *_on_rows(rows_hold, on),
         *_on_rows_between(results, arm, track, scene, paths, between, on_path, follows),
@@ -154,6 +157,15 @@ def check(
         on_path=on,
         rows=rows_hold,
     )
+
+
+def _segment_margins(track: Track, count: int, begins: Int[np.ndarray, "_"]) -> Float[np.ndarray, "T"]:
+    """Return the required clearance on the segment of the path to each of `count` targets [m]."""
+    job = track.config
+    if job.margin_on != "segments" or all(seam.margin_m is None for seam in job.workpiece.seams):
+        return np.full(count, job.segment_margin_m)
+    each = [job.margin_m if seam.margin_m is None else seam.margin_m for seam in job.workpiece.seams]
+    return np.array(each)[np.searchsorted(begins, np.arange(count), "right")]
 
 
 def required_m(track: Track) -> float:
@@ -224,9 +236,14 @@ def _check_task_rows(
 
     Without a task, the only requirement is the TCP's position, which `check` tests.
     """
-    task, settings = track.config.task, track.config.settings
-    place = RowPlace(scene.rotate, scene.translate, results.workpiece(track.config), t - on_path)
-    return check_rows(task, arm, track.x[t], place, settings.tolerance_m, settings.tolerance_rad) if task else []
+    job, part, settings = track.config, results.workpiece(track.config), track.config.settings
+    if not job.task:
+        return []
+    found, tolerances = [], (settings.tolerance_m, settings.tolerance_rad)
+    for task, which in tasks_at(job, part, t - on_path):
+        place = RowPlace(scene.rotate, scene.translate, part, t[which] - on_path)
+        found.append((check_rows(task, arm, track.x[t[which]], place, *tolerances), which))
+    return joined_rows(found)
 
 
 def _on_rows(rows: list[RowCheck], t: np.ndarray) -> Iterator[tuple[int, str]]:
@@ -254,10 +271,13 @@ def _on_rows_between(
     path = np.repeat(own, len(share))
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
     part = results.workpiece(track.config)
-    row = paths.target[own] - on_path
-    places = [part_between(task, scene.rotate, scene.translate, part, row, paths.span[own, k]) for k in (0, 1)]
-    places = [place._replace(point=place.point[np.searchsorted(own, path)]) for place in places]
-    good = hold_between(task, arm, x, *places, track.config.settings)
+    good = np.ones((len(task), len(x)), bool)
+    for rows, which in tasks_at(track.config, part, paths.target[path] - on_path):
+        here = np.unique(path[which])
+        row, span = paths.target[here] - on_path, paths.span[here]
+        places = [part_between(rows, scene.rotate, scene.translate, part, row, span[:, k]) for k in (0, 1)]
+        places = [place._replace(point=place.point[np.searchsorted(here, path[which])]) for place in places]
+        good[:, which] = hold_between(rows, arm, x[which], *places, track.config.settings)
     for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
         number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
         yield target, f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
@@ -327,7 +347,11 @@ def _on_via_points(arm: MujocoArm, track: Track, paths: JointPaths) -> Iterator[
 
 
 def _on_segments(
-    track: Track, paths: JointPaths, found: dict[str, Any], follows: Bool[np.ndarray, "T"]
+    track: Track,
+    paths: JointPaths,
+    found: dict[str, Any],
+    follows: Bool[np.ndarray, "T"],
+    margin_m: Float[np.ndarray, "T"],
 ) -> list[tuple[int, str]]:
     """Return the targets of segments that are saved as proven motions, but collide, leave the path or lack the margin.
 
@@ -345,7 +369,7 @@ def _on_segments(
     for k in np.flatnonzero(proven & ~(found["clearance_between"] >= guaranteed - RECORD_M)).tolist():
         short = f"{1e3 * found['clearance_between'][k]:.3f} mm on the segment, {1e3 * guaranteed[k]:.3f} mm"
         reasons.setdefault(int(paths.target[k]), f"the clearance is {short} are recorded as guaranteed")
-    least_m, near_m = track.config.segment_margin_m, found["clearance_between"]
+    least_m, near_m = margin_m[paths.target], found["clearance_between"]
     near = (least_m > 0) & proven & follows[paths.target] & ~(near_m >= least_m - RECORD_M)
     for k in np.flatnonzero(near).tolist():
         nearest = f"{1e3 * near_m[k]:.3f} mm, less than margin_m"

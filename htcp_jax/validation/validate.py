@@ -87,7 +87,10 @@ def validate_results(
     depth, pair = max((each.deepest for each in parts.cells.values()), default=(0.0, ""))
     excluded = f"{pair}, {1e3 * depth:.3g} mm" if pair else None
     found = not refuted, methods, refuted, between, feed_mm_s, seconds, results.files, excluded
-    return Validation(*found, _unchecked(checked, parts.cells.values()))
+    lacking = [
+        f"The plan lacks the seam {name!r}, which is not validated: {why}." for name, why in results.missing.items()
+    ]
+    return Validation(*found, (*lacking, *_unchecked(checked, parts.cells.values())))
 
 
 def validation_record(found: Validation) -> dict[str, Any]:
@@ -264,10 +267,10 @@ def _unchecked(checked: Sequence[TrackCheck], cells: Iterable[MujocoCell]) -> tu
 def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
     """Return the largest deviation from a row of the task in one track."""
     row = one.rows[number]
-    k = int(np.argmax(row.off))
+    k = int(np.argmax(row.off / row.most))
     at = one.scenario, int(one.on_path[k])
     return RowDeviation(
-        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * row.most, row.unit, at
+        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * float(row.most[k]), row.unit, at
     )
 
 

@@ -1,5 +1,7 @@
 """Plot of a tool's work angle, travel angle and spin along a path, with the ranges that the task allows."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -10,21 +12,25 @@ from htcp_jax.viewer.colours import INK
 COLOURS = "#1f6fb2", "#c0392b", "#7a8791"  # work angle, travel angle, spin
 
 
-def draw_angles(axes: Axes, row: ToolAxisRow, angles: Float[np.ndarray, "T 3"]) -> None:
+def draw_angles(axes: Axes, rows: Sequence[tuple[int, ToolAxisRow]], angles: Float[np.ndarray, "T 3"]) -> None:
     """Draw the angles over the target index; a band is an allowed range. A free spin is not drawn.
 
     Args:
         axes: The axes.
-        row: The task's row with the allowed angles.
+        rows: First target of each seam, and the row with its allowed angles. All rows limit the same angles.
         angles: Work angle, travel angle and spin at each target [degrees]; NaN where unknown.
     """
-    for (name, allowed), values, colour in zip(row.angles(), angles.T, COLOURS, strict=True):
-        if allowed == "free" and name == TOOL_ANGLES[-1]:
+    ends = [*(first for first, _ in rows[1:]), len(angles)]
+    for k, (name, colour) in enumerate(zip(TOOL_ANGLES, COLOURS, strict=True)):
+        if name == TOOL_ANGLES[-1] and getattr(rows[0][1], name) == "free":
             continue
-        words = name.removesuffix("_deg").replace("_", " ")
-        axes.plot(values, color=colour, linewidth=1.4, label=words)
-        if isinstance(allowed, tuple):
-            axes.axhspan(*allowed, color=colour, alpha=0.12, linewidth=0)
+        for (first, row), end in zip(rows, ends, strict=True):
+            words = name.removesuffix("_deg").replace("_", " ") if row is rows[0][1] and not first else None
+            axes.plot(range(first, end), angles[first:end, k], color=colour, linewidth=1.4, label=words)
+            if isinstance(getattr(row, name), tuple):
+                axes.fill_between(
+                    [first - 0.5, end - 0.5], *row.bounds_deg(name), color=colour, alpha=0.12, linewidth=0
+                )
     axes.set_xlim(-1, len(angles))
     axes.set_xlabel("target", color=INK)
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)

@@ -6,10 +6,11 @@ screen.
 """
 
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 import scipy
-from jaxtyping import Float, Int8
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
@@ -26,6 +27,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.runs import MotionSummary, summarise_motion
 from htcp_jax.spec import ToolAxisRow
 from htcp_jax.status import Status
+from htcp_jax.viewer import seam_marks
 from htcp_jax.viewer.angle_strip import draw_angles
 from htcp_jax.viewer.arm_pose import ArmPose, arms_at, moved, pieces_at, roots_at, seen, together
 from htcp_jax.viewer.colours import (
@@ -68,7 +70,8 @@ def draw_plan(
     obstruction: Obstruction | None = None,
     fixtures: surface.WorldGeometry = surface.NOTHING,
     normals: NormalGlyphs = NO_GLYPHS,
-    angles: tuple[ToolAxisRow, Float[np.ndarray, "T 3"]] | None = None,
+    angles: tuple[Sequence[tuple[int, ToolAxisRow]], Float[np.ndarray, "T 3"]] | None = None,
+    seams: Sequence[str] = (),
 ) -> Figure:
     """Draw a plan: the arm in the workpiece in two views, and the clearance along the path.
 
@@ -82,7 +85,8 @@ def draw_plan(
         obstruction: The colliding body at the failed target, drawn in red; None if there is none.
         fixtures: The other obstacles.
         normals: Glyphs of the path's normals, if the task refers to them.
-        angles: The task's row with tool angles, and the angles at each target [degrees]; None: not drawn.
+        angles: Arguments of `draw_angles`: rows with tool angles, and the angles [degrees]; None: not drawn.
+        seams: Names of several seams.
 
     Returns:
         The figure, to be saved with `figure.savefig(path)`.
@@ -98,14 +102,15 @@ def draw_plan(
     cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
     x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
-    drawn = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures)
+    drawn = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures, seams)
     motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes, (view, T) in zip(figure.axes, drawn, strict=True):
         axes.add_collection(LineCollection(view.flat(moved(normals, T)), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(moved(plans.target[row], T)), motion)
     colliding_body = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])
-    _draw_clearance(below, plans, row, float(scenario.margin_m))
+    _draw_clearance(below, plans, row, scenario)
+    seam_marks.draw_begins(below, plans, seams)
     _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
     below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
     if angles is not None:
@@ -123,8 +128,9 @@ def _draw_scene(
     x_start: Float[np.ndarray, "1 N"],
     obstruction: Obstruction | None = None,
     fixtures: surface.WorldGeometry = surface.NOTHING,
+    seams: Sequence[str] = (),
 ) -> list[tuple[View, Float[np.ndarray, "4 4"]]]:
-    """Draw a view of all objects and a close view of the workpiece.
+    """Draw a view of all objects and a close view of the workpiece, with the names of several seams.
 
     If the part moves, the first view is relative to the world, with the part's pose at the last configuration. The
     second view is relative to the part.
@@ -152,7 +158,9 @@ def _draw_scene(
         _draw_fixtures(axes, view, fixtures.placed(T))
         outlines = [_outlines(view, robot, *each) for each in zip(frames, pieces, strict=True)]
         _draw_arm(axes, view, robot, arm, outlines)
-        _draw_targets(axes, view, targets, plans.status[row])
+        _draw_targets(axes, view.flat(targets), plans, row)
+        if column:
+            seam_marks.draw_names(axes, view.flat(targets), plans, seams)
         if obstruction is not None and obstruction.collides:
             _draw_obstruction(axes, view, robot, obstruction, T)
         _set_limits(axes, view.flat(wall) if column else None)
@@ -298,10 +306,9 @@ def stadium(p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"], radius: float)
     return centres + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _draw_targets(axes: Axes, view: View, targets: Float[np.ndarray, "T 3"], status: Int8[np.ndarray, "T"]) -> None:
-    flat = view.flat(targets)
-    axes.plot(*flat.T, color=INK, linewidth=0.6, alpha=0.5, zorder=4)
-    for style in target_styles(status):
+def _draw_targets(axes: Axes, flat: Float[np.ndarray, "T 2"], plans: Plans, row: int) -> None:
+    seam_marks.draw_lines(axes, flat, plans)
+    for style in target_styles(plans.status[row]):
         look = {"color": style.colour, "s": style.size, "marker": style.marker, "linewidths": 0.6}
         axes.scatter(*flat[style.where].T, edgecolors=PAPER, zorder=5, **look)
 
@@ -402,20 +409,23 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=11, loc="left", y=1.0)  # without y, matplotlib measures all ticks twice
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, margin_m: float) -> None:
+def _draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
     """Draw the clearance over the target index, on a logarithmic scale to resolve small values."""
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
-    axes.plot(index, clearance_mm, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
+    line = seam_marks.without_air_moves(clearance_mm, plans)
+    axes.plot(*line, color=INK, linewidth=0.8, alpha=0.5, zorder=2)
     axes.set_yscale("log")
     for style in target_styles(status):
         if style.where.any():
             look = {"color": style.colour, "s": 1.6 * style.size, "marker": style.marker, "linewidths": 0.6}
             points = index[style.where], clearance_mm[style.where]
             axes.scatter(*points, label=style.name, edgecolors=PAPER, zorder=3, **look)
-    if margin_m > 0:
-        style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1}
-        axes.axhline(1e3 * margin_m, label="required margin", **style)
+    style = {"color": INK, "linewidth": 0.9, "linestyle": "--", "zorder": 1, "label": "required margin"}
+    if scenario.seam_margins_m is not None:
+        axes.step(index, 1e3 * scenario.seam_margins_m[:, 0], where="mid", **style)
+    elif scenario.margin_m > 0:
+        axes.axhline(1e3 * float(scenario.margin_m), **style)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high * (high / low) ** HEADROOM)
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))

@@ -13,8 +13,8 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return the file's text: comments after #, a line with the columns' names, and rows.
 
-    The columns are `time_s`, `kind`, `target`, and for each joint its value `<joint>_rad`, its velocity `<joint>_rad_s`
-    and its acceleration `<joint>_rad_s2`; for a slide m replaces rad.
+    The columns are `time_s`, `kind`, `target`, with several seams `seam`, and for each joint its value `<joint>_rad`,
+    its velocity `<joint>_rad_s` and its acceleration `<joint>_rad_s2`; for a slide m replaces rad.
     """
     stream = io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))
@@ -22,9 +22,10 @@ def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
     names = [f"{name}_{unit}" for name, unit in zip(timed.joint_names, units, strict=True)]
     rates = [f"{name}{per}" for per in ("", "_s", "_s2") for name in names]
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time_s", "kind", "target", *rates])
+    writer.writerow(["time_s", "kind", "target", *(["seam"] if controller.seams else []), *rates])
     states = np.hstack([timed.x, timed.velocity, timed.acceleration])
     columns = (column.tolist() for column in (timed.time_s, timed.kind, timed.target, states))
     for time_s, kind, target, state in zip(*columns, strict=True):
-        writer.writerow([time_s, Kind(kind).name, target, *state])
+        seam = [controller.seams[target]] if controller.seams else []
+        writer.writerow([time_s, Kind(kind).name, target, *seam, *state])
     return stream.getvalue()

@@ -233,6 +233,7 @@ class BrowserScene:
                 radius = FAILED_M if style.name == "failed" else BEAD_M
                 self._add_balls(f"{PART}/targets/{style.name}", replay.target[style.where], radius, style.colour)
         legs = np.stack([replay.target[:-1], replay.target[1:]], axis=1)
+        legs = np.delete(legs, [first - 1 for first in replay.summary.seam_begins if first <= len(legs)], axis=0)
         if len(legs):
             self._scene.add_line_segments(f"{PART}/targets/way", legs, rgb(INK), thickness=1, thickness_units="screen")
         if len(replay.normals):
