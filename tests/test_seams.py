@@ -15,10 +15,12 @@ from test_json_schemas import fits
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import build, load_config
+from htcp_jax.jobs import build, load_config, seam_scenarios
 from htcp_jax.jobs.seam_paths import points_of_seams, with_seams_of_files
 from htcp_jax.model.path_frames import tangents
+from htcp_jax.runs import open_plans
 from htcp_jax.status import Kind
+from htcp_jax.viewer import draw_plan
 
 LEFT, RIGHT = (
     {"name": "left", "path": "path.csv", "rows": [0, 5]},
@@ -212,6 +214,14 @@ def test_a_program_with_a_column_seam_is_read_and_proven(with_own_keys, tmp_path
     assert "proven: guaranteed clearance" in capsys.readouterr().out
 
 
+def test_a_proof_of_the_motion_has_the_clearance_that_the_plan_states_for_it_and_the_way_back(with_own_keys, tmp_path):
+    command = ["prove", str(with_own_keys / "motion.csv"), "--job", str(with_own_keys.parent / "job.yaml")]
+    assert main([*command, "--out", str(tmp_path / "proof")]) == 0
+    stated = summary(with_own_keys)
+    least = min(stated["motion"]["clearance_m"], stated["order"]["retract_clearance_m"])
+    assert json.loads((tmp_path / "proof" / "proof.json").read_text())["clearance_m"] == pytest.approx(least, rel=0.01)
+
+
 def test_a_proof_of_a_file_counts_the_points_that_it_visits(points, tmp_path, capsys):
     command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
     assert main([*command, "--job", str(points / "job.yaml")]) == 0
@@ -334,6 +344,28 @@ def test_each_seam_keeps_its_own_margin_and_the_validation_requires_it(with_own_
     targets = {visit["name"]: range(visit["first"], visit["last"] + 1) for visit in order["visits"]}
     assert refuted and all(one["target"] in targets["left"] for one in refuted)
     assert "less than margin_m" in refuted[0]["reason"]
+
+
+def test_the_picture_names_the_seams_and_draws_no_line_from_one_to_the_next(with_own_keys):
+    plans, names = open_plans(with_own_keys).plans("beam"), ["seam one", "seam two"]
+    figure = draw_plan(toy.robot(), toy.workpiece(), toy.scenario(), plans, seams=names)
+    _, close_up, chart = figure.axes
+    for axes in (close_up, chart):
+        assert set(names) <= {text.get_text() for text in axes.texts}
+    assert sorted(len(line.get_xdata()) for line in close_up.lines if line.get_linewidth() == 0.6) == [5, 6]
+    curve = next(line for line in chart.lines if len(line.get_xdata()) == 12)
+    assert np.isnan(curve.get_xdata()).sum() == 1
+
+
+def test_a_given_inlet_without_a_rule_for_the_inside_gives_a_warning(tmp_path):
+    across, along = np.linspace(-0.1, 0.1, 9), np.linspace(0.4, 0.9, 9)
+    box = [(x, y, 0.3 + z) for x in along for y in across for z in across if max(abs(y), abs(z)) > 0.09]
+    file = write_job(tmp_path, LEFT, RIGHT)
+    np.savetxt(tmp_path / "box.xyz", box)
+    part = {"workpiece.cloud": str(tmp_path / "box.xyz"), "workpiece.interior": "hull"}
+    job, robot = build.with_robot(load_config(file, part | {"workpiece.inlet_m": [0.9, 0, 0.3]}), "the job")
+    with pytest.warns(UserWarning, match=r"inlet_m is given, but the rule for the inside of the part is off"):
+        seam_scenarios.seam_scenarios(job, robot)
 
 
 def test_the_own_keys_of_the_only_seam_are_those_of_the_job(tmp_path):
