@@ -40,7 +40,7 @@ def place(text: str, *words: str) -> int:
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
         (PLACE + "feed: '20'", (), "feed '20' is not a speed above 0 with a unit"),
-        (PLACE + "seams: [path.csv]", (), "place.yaml: seams has moved to the job: list them there, each as {name: ..."),
+        (PLACE + "seams: [path.csv]", (), "place.yaml: seams has moved to the job: list them there, each"),
         (PLACE, ("--set", SEAMS.replace("behind", "empty")), "empty.csv: the tool path is empty"),
         (PLACE + "objective: speed", (), "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
     ],

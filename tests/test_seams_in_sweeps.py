@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import toy
 import yaml
+from test_json_schemas import fits
 from test_place import TOY_BEAM
 from test_seams import LEFT, RIGHT, write_job
 
@@ -133,7 +134,8 @@ def test_reachability_has_a_row_for_each_seam(swept, capsys):
     words = ["--resolution", "0.5", "--proof-cells", "0", "--out", str(swept / "reach"), "--json"]
     assert main(["reachability", job, *words]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert len(found["prefix"]) == 2
+    assert len(found["prefix"]) == 2 and found["seams"] == ["left", "back"]
+    fits("reachability", found)
 
 
 def test_a_mounting_is_complete_if_all_seams_are_and_its_job_has_all_of_them(placed):
