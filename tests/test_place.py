@@ -27,9 +27,9 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io.arrays import parquet_bytes
 from htcp_jax.placement import PlacementResult, place
-from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.placement_result import locked_search
+from htcp_jax.placement.progress import PlaceProgress
 from htcp_jax.placement.scores import MountingPlanner, MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run

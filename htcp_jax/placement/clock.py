@@ -12,7 +12,7 @@ from htcp_jax.system import files, output_files
 
 FILE = "seconds.json"
 DEARER = 4.0  # assumed time of a proven motion / time of a quick plan, until a first one is planned
-FIRST, GROWTH = 16, 4.0  # number of plans in the first call; largest ratio of the numbers in two successive calls
+FIRST, GROWTH = 8, 4.0  # number of plans in the first call; largest ratio of the numbers in two successive calls
 SHARE = 0.05  # share of the time limit that a call of the search should take
 
 

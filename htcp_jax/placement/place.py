@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -30,8 +30,16 @@ from htcp_jax.placement.clock import Clock, PlanTime
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, write_result
+from htcp_jax.placement.progress import (
+    LOWERED,
+    MARGINS,
+    STAGES,
+    TOLERANCES,
+    PlaceProgress,
+    ProgressReporter,
+    most_plans,
+)
 from htcp_jax.placement.scores import (
-    RAISED,
     MountingPlanner,
     MountingScores,
     sweep_of,
@@ -45,30 +53,7 @@ from htcp_jax.spec import feed
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 
-MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins tried for a confirmed motion / the quick plan's clearance
 SEARCHED, CONFIRMED = 0.5, 0.8  # shares of a time limit after which the search ends, and then the confirmation
-LOWERED = 0.8, 0.4  # margins tried for a perturbed mounting / the mounting's own, before the job's margin
-TOLERANCES = 3  # number of mountings whose tolerances are determined
-STAGES = {
-    "rounds": "search",
-    "raised": "search",
-    "confirmed": "confirm",
-    "perturbed": "perturb",
-    "tolerance": "tolerance",
-}
-
-
-class PlaceProgress(NamedTuple):
-    """Progress of a search."""
-
-    stage: str  # one of STAGES
-    scenarios: int  # plans of this stage so far
-    of: int | None  # maximum number of plans of this stage; None: limited by time only
-    complete: int  # number of complete mountings found so far
-    best: float  # first objective's best value so far; -inf: none
-    sweep: sweeps.SweepProgress | None = None  # progress of the current sweep
-    most: dict[str, int | None] | None = None  # see `most_plans`
-    kept: int = 0  # number of plans that were in the folder at the beginning
 
 
 def place(
@@ -109,7 +94,7 @@ def place(
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
         clock = Clock(folder, search.file.within.seconds)
-        report = _ProgressReporter(search, progress, kept_plans(folder))
+        report = ProgressReporter(search, progress, kept_plans(folder))
         sweep = partial(
             sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
         )
@@ -144,52 +129,7 @@ def _targets(search: Search) -> int:
     return int(sweep_of(search, search.ranges.values(ends)).batch().scenarios.count.max())
 
 
-def most_plans(search: Search) -> dict[str, int | None]:
-    """Return the maximum number of plans of each stage; None if only the time is limited."""
-    file, k = search.file, max(1, len(search.seams))
-    is_raised = CLEARANCE in file.objective
-    scenarios, objectives = file.within.scenarios, len(file.objective)
-    best = objectives * -(-file.best // objectives)  # the same number for each objective
-    return {
-        "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
-        "confirm": k * best * (len(MARGINS) if is_raised else 1),
-        "perturb": k * best * TRIED * (1 + len(LOWERED) * is_raised),
-        "tolerance": k * min(TOLERANCES, best) * most_tried(len(search.ranges.axes)),
-    }
-
-
-class _ProgressReporter:
-    """Counter of the plans and complete mountings of the current stage, which reports them as progress."""
-
-    def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None, kept: int):
-        self._stage, self._progress, self._most, self._kept = "search", progress, most_plans(search), kept
-        self._scenarios, self._complete, self._best = 0, 0, -np.inf
-
-    def begin(self, stage: str) -> None:
-        """Begin a stage: if it is a new one, reset its counts."""
-        if stage != self._stage:
-            self._stage, self._scenarios = stage, 0
-
-    def planned(self, run: Run) -> None:
-        """Add the number of plans in a finished sweep."""
-        self._scenarios += run.manifest.count
-
-    def evaluated(self, found: MountingScores) -> None:
-        """Add a finished round's complete mountings, and update the best objective."""
-        self._complete += int(found.complete.sum())
-        self._best = max(self._best, float(found.objective[:, 0].max(initial=-np.inf)))
-
-    def sweep(self, now: sweeps.SweepProgress) -> None:
-        """Report the progress of the current sweep."""
-        if self._progress is not None:
-            done = self._scenarios + min(now.scenarios_done, now.scenarios)
-            counts = done, self._most[self._stage], self._complete, self._best
-            self._progress(PlaceProgress(self._stage, *counts, now, self._most, self._kept))
-
-
-def _rounds(
-    planner: MountingPlanner, clock: Clock, folder: Path, report: _ProgressReporter
-) -> Iterator[MountingScores]:
+def _rounds(planner: MountingPlanner, clock: Clock, folder: Path, report: ProgressReporter) -> Iterator[MountingScores]:
     """Propose and plan mountings round by round, and yield the scores of each call of the planner.
 
     With a time limit, the mountings of a round are planned in several calls.
@@ -212,8 +152,9 @@ def _rounds(
         parts: list[SearchResults] = []
         while (done := sum(len(part.u) for part in parts)) < len(u) and (not done or clock.used < SEARCHED):
             now = u[done:] if spread is not None else u[done : done + _together(search, clock)]
+            into = folder / f"{number:03d}", folder.with_name("raised")
             found = planner.evaluate_raised(
-                search.ranges.values(now), folder / f"{number:03d}", folder.with_name("raised")
+                search.ranges.values(now), *into, lambda plans: clock.fits(plans, quick=True, share=SEARCHED)
             )
             if not number:
                 _refuse_collision(search, found, folder)
@@ -258,7 +199,8 @@ def _confirmed(
 ) -> MountingScores:
     """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS.
 
-    With a time limit, each mounting is planned in a call of its own, as long as the time suffices, but at least one.
+    With a time limit, each mounting is planned in a call of its own, with as many margins as there is time for. At
+    least one is planned.
     """
     search = planner.search
     values = np.concatenate([each.values for each in scores])
@@ -286,8 +228,10 @@ def _confirmed(
         return planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
     parts: list[MountingScores] = []
     for k, (one, own) in enumerate(zip(values[chosen], margins, strict=True)):
-        if parts and not clock.fits(len(own) * max(1, len(search.seams)), quick=False, share=CONFIRMED):
+        fit = [n for n in range(len(own)) if clock.fits((n + 1) * max(1, len(search.seams)), False, CONFIRMED)]
+        if parts and not fit:
             break
+        own = own[-1 - max(fit, default=0) :]  # the smallest margins are the most likely to be kept
         every = np.repeat(one[None], len(own), axis=0)
         parts.append(planner.evaluate(every, search.file.confirm, folder / f"{k:03d}", np.array(own)))
     return MountingScores.concatenate(parts)

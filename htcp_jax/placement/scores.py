@@ -183,7 +183,9 @@ class MountingPlanner(NamedTuple):
         """Plan by the search's quick method, with the settings QUICK."""
         return self.evaluate(values, self.search.file.screen, folder, margin_m, QUICK)
 
-    def evaluate_raised(self, values: Float[np.ndarray, "n d"], folder: Path, raised: Path) -> MountingScores:
+    def evaluate_raised(
+        self, values: Float[np.ndarray, "n d"], folder: Path, raised: Path, fits: Callable[[int], bool] = lambda _: True
+    ) -> MountingScores:
         """Plan mountings quickly and return the plans with the largest margin that was found.
 
         The first margin is the job's. If clearance is an objective, complete mountings are planned again with larger
@@ -193,11 +195,12 @@ class MountingPlanner(NamedTuple):
             values: The mountings.
             folder: The folder of the first plans.
             raised: The folder of the plans with larger margins.
+            fits: Function that returns False if there is no time for a number of plans with larger margins.
         """
         found = self.evaluate_quickly(values, folder)
         going = found.complete if CLEARANCE in self.search.file.objective else np.zeros(len(values), bool)
         for k in range(RAISED):
-            if not going.any():
+            if not going.any() or not fits(found.seams * int(going.sum())):
                 break
             margin = np.maximum(FACTOR * found.guaranteed, self.search.job.margin_m)[going]
             again = self.evaluate_quickly(values[going], raised / f"{folder.name}-{k}", margin)
