@@ -26,7 +26,7 @@ from htcp_jax.io import parts
 from htcp_jax.io.robots import load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
-from htcp_jax.jobs.seam_paths import check_one_seam, is_file, points_of_seams
+from htcp_jax.jobs.seam_paths import is_file, points_of_seams
 from htcp_jax.model import (
     InletDirection,
     Robot,
@@ -74,14 +74,13 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 
 def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
-    """Resolve a job, and build its robot, workpiece and scenario.
+    """Resolve a job, and build its robot, workpiece and scenario; its path has all seams, in the order of the list.
 
     Args:
         job: The job.
         source: Name of the job, for messages.
     """
     job, robot = with_robot(job, source)
-    check_one_seam(job.workpiece)
     workpiece = workpiece_of(job.workpiece, robot)
     return job, robot, workpiece, scenario_of(job, robot, workpiece)
 
