@@ -23,7 +23,7 @@ from benchmarks import hardware
 from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Sweep
 from htcp_jax.placement.place_file import Search, load_search
-from htcp_jax.placement.scores import evaluate_raised
+from htcp_jax.placement.scores import MountingPlanner
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, Evolution, SearchResults, even
 from htcp_jax.runs import Run
 from htcp_jax.runs.sweep import sweep
@@ -104,9 +104,8 @@ def run(requested: Search, approach: str, seed: int, budget: int, folder: Path, 
 
     def scores(u: Float[np.ndarray, "n d"]) -> SearchResults:
         u = u[: budget - sum(len(each.u) for each in rounds)]
-        one = evaluate_raised(
-            requested, plan, requested.ranges.values(u), folder / f"{len(rounds):03d}", folder / "raised"
-        )
+        planner = MountingPlanner(requested, plan)
+        one = planner.evaluate_raised(requested.ranges.values(u), folder / f"{len(rounds):03d}", folder / "raised")
         rounds.append(SearchResults(u, one.done.mean(axis=1), one.complete, one.objective))
         return rounds[-1]
 

@@ -16,7 +16,7 @@
 # A part has several seams. Where must it be mounted, and how long must the tool be, so that the arm can follow all of
 # them in one mounting with the largest clearance? `htcp_jax.place` searches for such a mounting; see `docs/place.md`.
 #
-# `configs/place/seams.yaml` is such a search for six seams of the generated duct:
+# `configs/place/seams.yaml` is such a search for the six seams of the generated duct in `configs/six-seams.yaml`:
 
 # %%
 from pathlib import Path
@@ -48,8 +48,9 @@ pandas.DataFrame(first.seams(), index=["complete in mountings", "share in the be
 # the best mounting instead of the default 20. Repeat the call to read the results from the folder.
 
 # %%
-changes = {"seams": ["right", "invert"], "within": {"scenarios": 240}, "best": 1}
-found = htcp_jax.place(FILE, "../out/two-seams", changes=changes)
+two = "seams=[{name: right, path: right}, {name: invert, path: invert}]"
+changes = {"within": {"scenarios": 240}, "best": 1}
+found = htcp_jax.place(FILE, "../out/two-seams", overrides=[two], changes=changes)
 print(f"{found.complete} mountings track both seams; {len(found.mountings)} was confirmed by proven motions")
 
 # %% [markdown]

@@ -27,9 +27,9 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io.arrays import parquet_bytes
 from htcp_jax.placement import PlacementResult, place
-from htcp_jax.placement.place import PlaceProgress
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.placement_result import locked_search
+from htcp_jax.placement.progress import PlaceProgress
 from htcp_jax.placement.scores import MountingPlanner, MountingScores, sweep_of
 from htcp_jax.report.place_tables import read_search
 from htcp_jax.runs import open_plans, open_run
@@ -409,10 +409,11 @@ def test_what_may_vary_is_searched(plate, ranges):
 @pytest.mark.slow
 def test_several_seams_are_done_only_where_all_of_them_are(plate):
     (plate / "behind.csv").write_text("0.6,-0.1737,0.1708\n0.61,-0.1738,0.1705\n")
+    seams = "seams=[{name: path, path: path.csv}, {name: behind, path: behind.csv}]"
     near = {"workpiece.shift_m.x": [-0.1, 0.1]}
-    changes = {"place": near, "seams": ["path.csv", "behind.csv"], "confirm": "keep-clear", "objective": "clearance"}
+    changes = {"place": near, "confirm": "keep-clear", "objective": "clearance"}
     changes["screen"] = "keep-clear"
-    found = place("place.yaml", "out", changes=changes)
+    found = place("place.yaml", "out", overrides=[seams], changes=changes)
     assert found.scenarios == 12 and found.complete == 0 and not found.mountings
     seams = found.seams()
     assert seams["path"][0] > 0 and seams["behind"][0] == 0 and seams["path"][1] == 1 and seams["behind"][1] < 1

@@ -9,6 +9,7 @@ from test_place import TOY_BEAM, make_toy
 from htcp_jax.cli import main
 
 HEAD = "config: job.yaml\nwithin: {scenarios: 4}\n"
+SEAMS = "seams=[{name: path, path: path.csv}, {name: behind, path: behind.csv}]"
 PLACE = "place: {workpiece.shift_m: [[0.4, 0.6], 0.02, 0.0]}\n"
 
 
@@ -39,10 +40,8 @@ def place(text: str, *words: str) -> int:
         (PLACE, ("--scenarios", "0"), "within.scenarios is 0"),
         (PLACE, ("--on", "moon"), "on is 'moon'; valid: here, ray"),
         (PLACE + "feed: '20'", (), "feed '20' is not a speed above 0 with a unit"),
-        (PLACE + "seams: [path.csv, nowhere.csv]", (), "seams: no such file or seam of the duct: nowhere.csv"),
-        (PLACE + "seams: [path.csv, ./path.csv]", (), "seams: a seam is repeated"),
-        (PLACE + "seams: [path.csv, empty.csv]", (), "empty.csv: the tool path is empty"),
-        (PLACE + "seams: [helix]", (), "workpiece.path is missing"),
+        (PLACE + "seams: [path.csv]", (), "place.yaml: seams has moved to the job: list them there, each"),
+        (PLACE, ("--set", SEAMS.replace("behind", "empty")), "empty.csv: the tool path is empty"),
         (PLACE + "objective: speed", (), "unknown objective 'speed'; valid: clearance, cycle time, joint motion"),
     ],
 )
@@ -63,11 +62,11 @@ def test_where_every_start_collides_the_body_is_named_and_nothing_is_left(here, 
 
 def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_best(here, capsys):
     (here / "behind.csv").write_text("1.2,0,0.3\n1.22,0,0.3\n")
-    text = "place: {workpiece.shift_m.x: [0.4, 0.5]}\nseams: [path.csv, behind.csv]"
-    assert place(text) == 3
+    text, seams = "place: {workpiece.shift_m.x: [0.4, 0.5]}", ("--set", SEAMS)
+    assert place(text, *seams) == 3
     output = " ".join(capsys.readouterr().out.split())
     assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
-    assert place(text, "--json") == 3
+    assert place(text, *seams, "--json") == 3
     reported = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert reported["ranked"] == [] and reported["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
 

@@ -395,10 +395,3 @@ def test_a_path_and_seams_exclude_each_other_in_one_file_and_the_later_one_repla
     seams = {"seams": [{"name": "a", "path": "crown"}]}
     assert load_config(seams, ["workpiece.path=left"]).workpiece.seams == ()
     assert load_config(seams, ["seams.1.direction=forward"]).workpiece.seams[0].direction == "forward"
-
-
-def test_a_sweep_over_a_job_with_several_seams_is_refused_in_one_line(tmp_path, capsys):
-    write_job(tmp_path, LEFT, RIGHT)
-    (tmp_path / "grid.yaml").write_text(yaml.safe_dump({"config": "job.yaml", "grid": [{"margin_m": [0.001, 0.002]}]}))
-    assert main(["sweep", str(tmp_path / "grid.yaml"), "--out", str(tmp_path / "run")]) == 2
-    assert "this command plans one seam, but the job has 2: left, right" in capsys.readouterr().err

@@ -138,7 +138,7 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 def _stage_maxima(most: dict[str, int | None]) -> str:
     """Return a line with the maximum number of plans, in total and by stage."""
     searched, *others = most.values()
-    first = "as many plans as the search has time for, then up to " if searched is None else "up to "
+    first = "as many plans as the time limit allows, after the search up to " if searched is None else "up to "
     parts = ", ".join(f"{count:,} to {WORDS[stage]}" for stage, count in most.items() if count)
     return f"{first}{(searched or 0) + sum(others):,} plans: {parts}"
 

@@ -165,6 +165,11 @@ def _print_bounds(name: str, batch: Batch, found: Reachability, record: dict, ou
         else f"tool orientations every {resolution:.3g} rad",
         "files": str(out if found.each is not None else out / "reachability.json"),
     }
+    if "seams" in record:
+        reached = {seam: [0, 0] for seam in record["seams"]}
+        for seam, prefix, count in zip(record["seams"], record["prefix"], batch.scenarios.count.tolist(), strict=True):
+            reached[seam] = [reached[seam][0] + prefix, reached[seam][1] + count]
+        rows["by seam"] = ", ".join(f"{seam} {count:,} of {of:,}" for seam, (count, of) in reached.items())
     print_facts(name, rows)
     for method, scenarios in record["beaten_by"].items():
         text = f"{method} tracked more targets than the lower bound in scenarios "

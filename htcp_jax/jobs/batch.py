@@ -30,7 +30,6 @@ from htcp_jax.jobs.build import (
 )
 from htcp_jax.jobs.grid_axes import ScenarioPoint
 from htcp_jax.jobs.resolve import check_start
-from htcp_jax.jobs.seam_paths import check_one_seam
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, interior_plane_of, make_scenarios, start_and_home
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
@@ -193,7 +192,6 @@ class _Builder:
         job = point.config
         arm, part, surroundings = robot_key(job), workpiece_key(job), obstacles_key(job.cell)
         robot = _like(self._robot, self._robots(*arm), f"{self._name}: scenario {point.number}")
-        check_one_seam(part)
         workpiece = self._workpieces(part, *arm)
         with _naming(point):
             task = task_of_job(job, robot)

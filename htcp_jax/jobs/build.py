@@ -74,7 +74,7 @@ def scene(job: PlanConfig) -> tuple[Robot, Workpiece, Scenario]:
 
 
 def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[PlanConfig, Robot, Workpiece, Scenario]:
-    """Resolve a job, and build its robot, workpiece and scenario.
+    """Resolve a job, and build its robot, workpiece and scenario; its path has all seams, in the order of the list.
 
     Args:
         job: The job.

@@ -8,8 +8,11 @@
 
 A parameter is any key of the configuration except `method`, `program` and `ray`, see `grid_axes`. A joint is given by
 its number, from 1, or by its name. Axes are applied in order: one axis may set `start_rad`, and later axes may change
-single joints. In place of `grid`, a file may have `groups`: a mapping of names to grids, whose scenarios are
-concatenated. A scenario's number is its index in the complete grid. It determines the scenario's random keys.
+single joints. If the job has several seams, the last axis is `seam`, over all of them, unless the grid has this axis.
+Each scenario plans one seam, in its direction `backward` or else forward.
+
+In place of `grid`, a file may have `groups`: a mapping of names to grids, whose scenarios are concatenated. A
+scenario's number is its index in the complete grid. It determines the scenario's random keys.
 """
 
 import itertools
@@ -22,7 +25,7 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.batch import Batch, batch_of
 from htcp_jax.jobs.build import with_robot
-from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid
+from htcp_jax.jobs.grid_axes import FILE_KEYS, KEYS, MOST, Group, ScenarioPoint, read_grid, with_seams
 from htcp_jax.jobs.grid_points import points_of
 from htcp_jax.jobs.load_config import load_config, read_config, source_of
 from htcp_jax.model import Robot
@@ -131,7 +134,8 @@ def load_sweep(
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
-        groups.append(read_grid(where, path.parent, name, axes, robot.joint_names))
+        group = read_grid(where, path.parent, name, axes, robot.joint_names)
+        groups.append(with_seams(group, base.workpiece.seams, where))
         for key in first.keys() - groups[-1].keys:
             raise InputError(f"{where}: {key} varies in another group; it must vary in every group")
     if (size := sum(group.size for group in groups)) > MOST:
@@ -161,7 +165,8 @@ def load_sweep_or_job(
         raise InputError(f"{path} is a job; omit config (--config), which replaces the job of a sweep")
     job, robot = with_robot(load_config(spec, overrides), source_of(spec))
     name = "job" if isinstance(spec, Mapping) else path.stem
-    return Sweep(name, job, robot, (Group(None, ()),), frozenset(), alone=True)
+    grid = with_seams(Group(None, ()), job.workpiece.seams, name)
+    return Sweep(name, job, robot, (grid,), frozenset(), alone=True)
 
 
 def _first_values(raw: dict, grids: Mapping[str | None, Sequence[dict]], folder: Path) -> dict[str, Any]:

@@ -10,7 +10,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.spec import AUTO, DEPENDENT, FILES, SOURCES, TOOL_ANGLES, PlanConfig, strict_model
+from htcp_jax.spec import (
+    AUTO,
+    DEPENDENT,
+    FILES,
+    PART_SEAMS,
+    SOURCES,
+    TOOL_ANGLES,
+    PlanConfig,
+    SeamConfig,
+    strict_model,
+)
 
 MOST = 1_000_000  # maximum number of scenarios in a sweep
 # Keys that have columns in the tables of every run. Other keys have columns only in runs that vary them.
@@ -40,6 +50,7 @@ OF_A_KIND = re.compile(  # keys of obstacles and task rows from other packages, 
     r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*|robot\.locked\.[^.]+)(?:\.([xyz]))?"
 )
 XYZ = "xyz"
+SEAM = "seam"  # name of the axis over the seams of a part; its values are their names
 
 
 def _varied_keys() -> dict[str, Any]:
@@ -145,12 +156,32 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
 def parameters(joints: Sequence[str]) -> dict[str, AxisParameter]:
     """Return all parameters by the names that a sweep file may use; a parameter may have several names."""
     known = {name: AxisParameter(name, name, None) for name in (*PARAMETERS, *KEYS)}
+    known[SEAM] = AxisParameter(SEAM, PART_SEAMS, None)
     for k, joint in enumerate(joints):
         known[f"start_rad.{k + 1}"] = known[f"start_rad.{joint}"] = AxisParameter(f"start_rad.{joint}", "start_rad", k)
     for key, default in KEYS.items():
         if isinstance(default, tuple) and len(default) == 3:
             known |= {f"{key}.{axis}": AxisParameter(f"{key}.{axis}", key, k) for k, axis in enumerate(XYZ)}
     return known
+
+
+def with_seams(group: Group, seams: Sequence[SeamConfig], where: str) -> Group:
+    """Return a grid with an axis over its job's seams; unchanged if it has this axis, or if the job has one seam.
+
+    Args:
+        group: The grid.
+        seams: The seams.
+        where: Name of the grid, for messages.
+
+    Raises:
+        InputError: If the path varies in addition to the seams.
+    """
+    if seams and "workpiece.path" in group.keys:
+        raise InputError(f"{where}: workpiece.path varies, but the job has seams; vary {SEAM} instead, by their names")
+    if len(seams) < 2 or PART_SEAMS in group.keys:
+        return group
+    column = AxisColumn(AxisParameter(SEAM, PART_SEAMS, None), False, tuple(seam.name for seam in seams))
+    return group._replace(axes=(*group.axes, (column,)))
 
 
 def kind_parameter(name: str) -> AxisParameter | None:
@@ -176,6 +207,9 @@ def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
         InputError: If an offset or an element applies to a missing value, or if the value has no such element.
     """
     parameter = column.parameter
+    if parameter.name == SEAM:
+        raw["workpiece"] = raw["workpiece"] | {"seams": (_seam(raw["workpiece"].get("seams", ()), value),)}
+        return
     owner, key = _own_copy(raw, parameter), parameter.key.rpartition(".")[2]
     old = owner[key]
     if old is None and column.relative:
@@ -191,6 +225,15 @@ def put_parameter(raw: dict, column: AxisColumn, value: Any) -> None:
     new = list(old)
     new[parameter.element] = old[parameter.element] + value if column.relative else value
     owner[key] = tuple(new)
+
+
+def _seam(seams: Sequence[dict], name: Any) -> dict:
+    """Return the seam with this name, which waits for no other."""
+    for seam in seams:
+        if seam["name"] == str(name):
+            return seam | {"after": ()}
+    names = ", ".join(seam["name"] for seam in seams) or "the job has no key seams"
+    raise InputError(f"{SEAM} is {name!r}; valid: {names}")
 
 
 def _own_copy(raw: dict, parameter: AxisParameter) -> dict:
@@ -269,6 +312,7 @@ def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     given = {name: kind_parameter(name) for name in names if name not in KEYS}
     names = [given[name].key if given.get(name) else name for name in names]
     own = tuple(dict.fromkeys(name for name in names if OF_A_KIND.fullmatch(name) and name not in KEYS))
+    own += (SEAM,) if SEAM in names else ()
     keys = dict.fromkeys(name if name in KEYS else name.rpartition(".")[0] for name in names)
     if keys.keys() & SOURCES:
         keys |= dict.fromkeys(DEPENDENT)

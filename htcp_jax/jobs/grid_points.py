@@ -9,6 +9,7 @@ from typing import Any
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid_axes import (
     FILE_KEYS,
+    SEAM,
     AxisColumn,
     Group,
     ScenarioPoint,
@@ -134,7 +135,7 @@ class _Words:
     def __init__(self, varied: Sequence[str], short: Mapping[str, Mapping[str, str]]):
         self._keys: dict[str, list[str]] = {}  # by the key of the first level
         for key in varied:
-            self._keys.setdefault(key.partition(".")[0], []).append(key)
+            self._keys.setdefault("workpiece" if key == SEAM else key.partition(".")[0], []).append(key)
         self._order, self._short = varied, short
         self._known: dict[tuple[str, int], tuple[Any, dict[str, str]]] = {}  # with the value, so that its id stays
 
@@ -145,9 +146,10 @@ class _Words:
             value = getattr(config, first)
             if (first, id(value)) not in self._known:
                 raw = config.model_dump(mode="json", include={first})
-                self._known[first, id(value)] = value, {key: self._word(key, value_at(raw, key)) for key in keys}
+                self._known[first, id(value)] = value, {key: self._word(key, raw) for key in keys}
             found |= self._known[first, id(value)][1]
         return {key: found[key] for key in self._order}
 
-    def _word(self, key: str, value: Any) -> str:
+    def _word(self, key: str, raw: dict) -> str:
+        value = raw["workpiece"]["seams"][0]["name"] if key == SEAM else value_at(raw, key)
         return json.dumps(self._short[key][value] if key in FILE_KEYS else value)

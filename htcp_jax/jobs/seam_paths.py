@@ -63,23 +63,6 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     return part.model_copy(update={"seams": tuple(seams)})
 
 
-def check_one_seam(part: WorkpieceConfig) -> None:
-    """Check that a part's list of seams is one seam; a path's file of several is refused when it is read.
-
-    Args:
-        part: The section `workpiece`.
-
-    Raises:
-        InputError: If it has several.
-    """
-    names = [seam.name for seam in with_seams_of_files(part).seams] if part.seams else []
-    if len(names) > 1:
-        few = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        raise InputError(
-            f"this command plans one seam, but the job has {len(names)}: {few}; htcp plan does all of them"
-        )
-
-
 def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
     """Return the points of all seams [m], each in its direction of travel, `backward` or else forward.
 

@@ -1,6 +1,7 @@
 from . import mounting, ranges, tolerance
-from .place import PlaceProgress, place
+from .place import place
 from .placement_result import PlacementResult
+from .progress import PlaceProgress
 
 __all__ = [
     "PlaceProgress",

@@ -1,51 +1,94 @@
-"""Elapsed time of a search with a time limit, across interruptions.
+"""Time that a search with a time limit has used, without compilation and across interruptions.
 
-Each round depends on the time elapsed before it. The time at the end of every round is therefore saved in the search's
-folder, and a resumed search reads it with the finished rounds.
+The size of each call of the planner depends on the time that earlier calls took. Every call's time is therefore saved
+in the search's folder, and a resumed search reads it with the finished plans.
 """
 
-import time
 from pathlib import Path
+from typing import NamedTuple
 
 from htcp_jax.errors import InputError
 from htcp_jax.system import files, output_files
 
 FILE = "seconds.json"
+DEARER = 4.0  # assumed time of a proven motion / time of a quick plan, until a first one is planned
+FIRST, GROWTH = 8, 4.0  # number of plans in the first call; largest ratio of the numbers in two successive calls
+SHARE = 0.05  # share of the time limit that a call of the search should take
+
+
+class PlanTime(NamedTuple):
+    """Time of one call of the planner."""
+
+    plans: int
+    seconds: float  # without compilation [s]
+    quick: bool  # True for quick plans, False for proven motions
 
 
 class Clock:
     """Timer of a search.
 
     Args:
-        folder: The folder in which the elapsed time is saved.
+        folder: The search's folder, in which the times are saved.
         seconds: Time limit of the search [s]; None: no limit, and no time is saved.
     """
 
     def __init__(self, folder: Path, seconds: float | None):
-        self._file, self._seconds, self._last = folder / FILE, seconds, time.monotonic()
-        self._ends = [] if seconds is None else _read_times(self._file)
+        self._file, self.seconds = folder / FILE, seconds
+        self._known = {} if seconds is None else _read_times(self._file)
+        self._calls: list[PlanTime] = []
 
-    def used(self, rounds: int) -> float:
-        """Return the share of the time limit that is used after `rounds` rounds."""
-        return 0.0 if self._seconds is None or not rounds else self._ends[rounds - 1] / self._seconds
+    @property
+    def used(self) -> float:
+        """Used share of the time limit; 0 without a limit."""
+        return 0.0 if self.seconds is None else sum(call.seconds for call in self._calls) / self.seconds
 
-    def finished(self, rounds: int) -> None:
-        """Save the elapsed time at the end of round number `rounds`.
+    def add(self, name: str, call: PlanTime) -> None:
+        """Add the time of a call, or the one that is saved under its name.
+
+        Args:
+            name: The name of the call's folder in the search's folder.
+            call: The call.
 
         Raises:
             InputError: If the file cannot be written.
         """
-        now = time.monotonic()
-        if self._seconds is not None and rounds > len(self._ends):
-            self._ends.append(sum(self._ends[-1:]) + now - self._last)
-            output_files.write_json(self._file, {"ends_s": self._ends})
-        self._last = now
+        if self.seconds is None:
+            return
+        if name not in self._known:
+            self._known[name] = call
+            output_files.write_json(self._file, {"calls": {each: own._asdict() for each, own in self._known.items()}})
+        self._calls.append(self._known[name])
+
+    def fits(self, plans: int, quick: bool, share: float = 1.0) -> bool:
+        """Return True if a call is expected to end within a share of the time limit, or if there is no limit.
+
+        Args:
+            plans: The number of plans in the call.
+            quick: True for quick plans, False for proven motions.
+            share: The share.
+        """
+        return self.seconds is None or self.used + plans * self._seconds_each(quick) / self.seconds <= share
+
+    def plans_together(self) -> int:
+        """Return the number of quick plans in the next call of the search."""
+        if self.seconds is None or not self._calls:
+            return FIRST
+        most = int(GROWTH * max(call.plans for call in self._calls))
+        return max(1, min(most, int(SHARE * self.seconds / max(self._seconds_each(True), 1e-9))))
+
+    def _seconds_each(self, quick: bool) -> float:
+        """Return the time of a plan in the latest call of its kind [s], or an estimate before the first one."""
+        alike = [call.seconds / max(call.plans, 1) for call in self._calls if call.quick == quick]
+        if alike:
+            return alike[-1]
+        return 0.0 if quick else DEARER * self._seconds_each(True)
 
 
-def _read_times(file: Path) -> list[float]:
+def _read_times(file: Path) -> dict[str, PlanTime]:
     if not file.exists():
-        return []
+        return {}
     try:
-        return [float(end) for end in files.read_json(file, file.parent)["ends_s"]]
-    except (OSError, ValueError, TypeError, LookupError) as error:
+        calls = files.read_json(file, file.parent)["calls"].items()
+        return {name: PlanTime(int(own["plans"]), float(own["seconds"]), bool(own["quick"])) for name, own in calls}
+    except (OSError, AttributeError, ValueError, TypeError, LookupError) as error:
         raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None

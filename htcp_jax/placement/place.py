@@ -7,15 +7,17 @@ Every stage is one or more sweeps, in a folder with the stage's name. `rounds` a
 plans, first evenly over the ranges, then near the best ones. `confirmed` plans the best mountings as proven motions
 with the largest possible margin. `perturbed` and `tolerance` plan the confirmed mountings again under perturbation.
 `ranked` contains the motions in the order of the ranking. A first ranking is written before mountings are perturbed.
-Calling `place` again resumes an interrupted search.
+Calling `place` again resumes an interrupted search. A time limit bounds all stages: the planner's calls are small, and
+a call that is expected to take too long is omitted.
 """
 
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,13 +26,20 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import Sweep
 from htcp_jax.motion import Plans, start_contact
-from htcp_jax.placement.clock import Clock
+from htcp_jax.placement.clock import Clock, PlanTime
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, write_result
+from htcp_jax.placement.progress import (
+    LOWERED,
+    MARGINS,
+    STAGES,
+    TOLERANCES,
+    PlaceProgress,
+    ProgressReporter,
+    most_plans,
+)
 from htcp_jax.placement.scores import (
-    MARGIN,
-    RAISED,
     MountingPlanner,
     MountingScores,
     sweep_of,
@@ -44,29 +53,7 @@ from htcp_jax.spec import feed
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 
-MARGINS = 1.7, 1.4, 1.2, 1.05, 0.95, 0.8, 0.5  # margins tried for a confirmed motion / the quick plan's clearance
-LOWERED = 0.8, 0.4  # margins tried for a perturbed mounting / the mounting's own, before the job's margin
-TOLERANCES = 3  # number of mountings whose tolerances are determined
-STAGES = {
-    "rounds": "search",
-    "raised": "search",
-    "confirmed": "confirm",
-    "perturbed": "perturb",
-    "tolerance": "tolerance",
-}
-
-
-class PlaceProgress(NamedTuple):
-    """Progress of a search."""
-
-    stage: str  # one of STAGES
-    scenarios: int  # plans of this stage so far
-    of: int | None  # maximum number of plans of this stage; None: limited by time only
-    complete: int  # number of complete mountings found so far
-    best: float  # first objective's best value so far; -inf: none
-    sweep: sweeps.SweepProgress | None = None  # progress of the current sweep
-    most: dict[str, int | None] | None = None  # see `most_plans`
-    kept: int = 0  # number of plans that were in the folder at the beginning
+SEARCHED, CONFIRMED = 0.5, 0.8  # shares of a time limit after which the search ends, and then the confirmation
 
 
 def place(
@@ -106,21 +93,26 @@ def place(
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
-        report = _ProgressReporter(search, progress, kept_plans(folder))
+        clock = Clock(folder, search.file.within.seconds)
+        report = ProgressReporter(search, progress, kept_plans(folder))
         sweep = partial(
             sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
         )
 
         def plan(grid: Sweep, method: str, into: Path) -> Run:
-            report.begin(STAGES[into.relative_to(folder).parts[0]])
+            name, began = into.relative_to(folder), time.monotonic()
+            report.begin(stage := STAGES[name.parts[0]])
             run = sweep(grid, [method], into)
             report.planned(run)
-            return time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
+            run = time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
+            seconds = time.monotonic() - began - run.manifest.seconds[method].compile_s
+            clock.add(name.as_posix(), PlanTime(run.manifest.count, max(0.0, seconds), stage != "confirm"))
+            return run
 
         planner = MountingPlanner(search, plan)
-        scores = list(_rounds(planner, folder / "rounds", report))
-        confirmed = _confirmed(planner, scores, folder / "confirmed")
-        for mountings, is_final in _rankings(planner, confirmed, folder):
+        scores = list(_rounds(planner, clock, folder / "rounds", report))
+        confirmed = _confirmed(planner, clock, scores, folder / "confirmed")
+        for mountings, is_final in _rankings(planner, clock, confirmed, folder):
             motions = _save_motions(search, confirmed, mountings, folder)
             found = write_result(folder, search, scores, mountings, motions, is_final)
         return found
@@ -137,78 +129,53 @@ def _targets(search: Search) -> int:
     return int(sweep_of(search, search.ranges.values(ends)).batch().scenarios.count.max())
 
 
-def most_plans(search: Search) -> dict[str, int | None]:
-    """Return the maximum number of plans of each stage; None if only the time is limited."""
-    file, k = search.file, max(1, len(search.seams))
-    is_raised = CLEARANCE in file.objective
-    scenarios, objectives = file.within.scenarios, len(file.objective)
-    best = objectives * -(-file.best // objectives)  # the same number for each objective
-    return {
-        "search": None if scenarios is None else scenarios // k * k * (1 + RAISED * is_raised),
-        "confirm": k * best * (len(MARGINS) if is_raised else 1),
-        "perturb": k * best * TRIED * (1 + len(LOWERED) * is_raised),
-        "tolerance": k * min(TOLERANCES, best) * most_tried(len(search.ranges.axes)),
-    }
+def _rounds(planner: MountingPlanner, clock: Clock, folder: Path, report: ProgressReporter) -> Iterator[MountingScores]:
+    """Propose and plan mountings round by round, and yield the scores of each call of the planner.
 
-
-class _ProgressReporter:
-    """Counter of the plans and complete mountings of the current stage, which reports them as progress."""
-
-    def __init__(self, search: Search, progress: Callable[[PlaceProgress], None] | None, kept: int):
-        self._stage, self._progress, self._most, self._kept = "search", progress, most_plans(search), kept
-        self._scenarios, self._complete, self._best = 0, 0, -np.inf
-
-    def begin(self, stage: str) -> None:
-        """Begin a stage: if it is a new one, reset its counts."""
-        if stage != self._stage:
-            self._stage, self._scenarios = stage, 0
-
-    def planned(self, run: Run) -> None:
-        """Add the number of plans in a finished sweep."""
-        self._scenarios += run.manifest.count
-
-    def evaluated(self, found: MountingScores) -> None:
-        """Add a finished round's complete mountings, and update the best objective."""
-        self._complete += int(found.complete.sum())
-        self._best = max(self._best, float(found.objective[:, 0].max(initial=-np.inf)))
-
-    def sweep(self, now: sweeps.SweepProgress) -> None:
-        """Report the progress of the current sweep."""
-        if self._progress is not None:
-            done = self._scenarios + min(now.scenarios_done, now.scenarios)
-            counts = done, self._most[self._stage], self._complete, self._best
-            self._progress(PlaceProgress(self._stage, *counts, now, self._most, self._kept))
-
-
-def _rounds(planner: MountingPlanner, folder: Path, report: _ProgressReporter) -> Iterator[MountingScores]:
-    """Propose and plan mountings round by round, and yield the scores of each round."""
+    With a time limit, the mountings of a round are planned in several calls.
+    """
     search, known, number = planner.search, None, 0
-    budget, clock = search.file.within.scenarios, Clock(folder, search.file.within.seconds)
+    budget = search.file.within.scenarios
     mountings = None if budget is None else max(1, budget // max(1, len(search.seams)))
     evolved = 0 if mountings is None else int((1 - EVEN) * mountings) // (FROM * POPULATION)
     spread = None if mountings is None else mountings - evolved * FROM * POPULATION
     d, seed = len(search.ranges.axes), search.file.seed
     evolution: Evolution | None = None
 
-    while clock.used(number) < 1 and (mountings is None or known is None or len(known.u) < mountings):
+    while clock.used < SEARCHED and (mountings is None or known is None or len(known.u) < mountings):
         here = 0 if known is None else len(known.u)
-        if evolution is None and (here < spread if spread is not None else clock.used(number) < EVEN):
-            u = even(d, here, ROUND if spread is None else min(ROUND, spread - here), seed)
+        if evolution is None and (here < spread if spread is not None else clock.used < EVEN * SEARCHED):
+            u = even(d, here, _together(search, clock) if spread is None else min(ROUND, spread - here), seed)
         else:
             evolution = Evolution(known, len(search.file.objective), seed) if evolution is None else evolution
             u = evolution.ask()
-        values = search.ranges.values(u)
-        found = planner.evaluate_raised(values, folder / f"{number:03d}", folder.with_name("raised"))
-        if not number:
-            _refuse_collision(search, found, folder)
-        own = SearchResults(u, found.done.mean(axis=1), found.complete, found.objective)
-        if evolution is not None:
+        parts: list[SearchResults] = []
+        while (done := sum(len(part.u) for part in parts)) < len(u) and (not done or clock.used < SEARCHED):
+            now = u[done:] if spread is not None else u[done : done + _together(search, clock)]
+            into = folder / f"{number:03d}", folder.with_name("raised")
+            found = planner.evaluate_raised(
+                search.ranges.values(now), *into, lambda plans: clock.fits(plans, quick=True, share=SEARCHED)
+            )
+            if not number:
+                _refuse_collision(search, found, folder)
+            parts.append(SearchResults(now, found.done.mean(axis=1), found.complete, found.objective))
+            number += 1
+            report.evaluated(found)
+            yield found
+        own = _joined(parts)
+        if evolution is not None and len(own.u) == len(u):
             evolution.tell(own)
-        known = own if known is None else SearchResults(*map(np.concatenate, zip(known, own, strict=True)))
-        number += 1
-        clock.finished(number)
-        report.evaluated(found)
-        yield found
+        known = own if known is None else _joined([known, own])
+
+
+def _joined(parts: Sequence[SearchResults]) -> SearchResults:
+    """Return the results of all parts."""
+    return SearchResults(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _together(search: Search, clock: Clock) -> int:
+    """Return the number of mountings in the next call of a search with a time limit."""
+    return min(ROUND, max(1, clock.plans_together() // max(1, len(search.seams))))
 
 
 def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> None:
@@ -227,8 +194,14 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
     raise InputError(f"{search.name}: no motion can start in any of {len(found.values):,} mountings: {why}")
 
 
-def _confirmed(planner: MountingPlanner, scores: Sequence[MountingScores], folder: Path) -> MountingScores:
-    """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS."""
+def _confirmed(
+    planner: MountingPlanner, clock: Clock, scores: Sequence[MountingScores], folder: Path
+) -> MountingScores:
+    """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS.
+
+    With a time limit, each mounting is planned in a call of its own, with as many margins as there is time for. At
+    least one is planned.
+    """
     search = planner.search
     values = np.concatenate([each.values for each in scores])
     known = SearchResults(
@@ -250,23 +223,33 @@ def _confirmed(planner: MountingPlanner, scores: Sequence[MountingScores], folde
         sorted({max(least, share * c) for share in MARGINS} if whole and is_raised else {least}, reverse=True)
         for c, whole in zip(clear.tolist(), known.complete[chosen].tolist(), strict=True)
     ]
-    every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
-    return planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
+    if clock.seconds is None:
+        every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
+        return planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
+    parts: list[MountingScores] = []
+    for k, (one, own) in enumerate(zip(values[chosen], margins, strict=True)):
+        fit = [n for n in range(len(own)) if clock.fits((n + 1) * max(1, len(search.seams)), False, CONFIRMED)]
+        if parts and not fit:
+            break
+        own = own[-1 - max(fit, default=0) :]  # the smallest margins are the most likely to be kept
+        every = np.repeat(one[None], len(own), axis=0)
+        parts.append(planner.evaluate(every, search.file.confirm, folder / f"{k:03d}", np.array(own)))
+    return MountingScores.concatenate(parts)
 
 
 def _rankings(
-    planner: MountingPlanner, confirmed: MountingScores, folder: Path
+    planner: MountingPlanner, clock: Clock, confirmed: MountingScores, folder: Path
 ) -> Iterator[tuple[list[Mounting], bool]]:
     """Yield rankings of the confirmed mountings, each with True if it is final.
 
     The first ranking is by the objective of each mounting's best plan. The final one is by the results under
-    perturbation; its first TOLERANCES mountings have tolerances.
+    perturbation; its first TOLERANCES mountings have tolerances. What a time limit omits is unknown.
     """
     rows = _best_rows(confirmed)
     if not rows:
         yield [], True
         return
-    values, objective, margin = confirmed.values[rows], confirmed.objective[rows], _planned_margins(confirmed)[rows]
+    values, objective, margin = confirmed.values[rows], confirmed.objective[rows], confirmed.margin_m[rows]
     pareto_front = is_on_pareto_front(objective)
 
     def mountings(
@@ -280,13 +263,40 @@ def _rankings(
 
     unknown = np.full(objective.shape, np.nan)
     yield mountings(np.argsort(-objective[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
-    perturbation = perturbed(planner.search, values, folder / "perturbed", partial(_planned_again, planner, margin))
-    worst = np.minimum([one.objective.min(axis=0) for one in perturbation], objective)
-    success_rate = np.array([one.complete.mean() for one in perturbation])
+    first = np.argsort(-objective[:, 0], kind="stable")
+    seams = max(1, len(planner.search.seams))
+    tries = 1 + len(LOWERED) * (CLEARANCE in planner.search.file.objective)
+    worst, success_rate = unknown.copy(), unknown[:, 0].copy()
+    for own, into in _calls(clock, first, folder / "perturbed", seams * TRIED * tries):
+        again = partial(_planned_again, planner, margin[own])
+        for row, one in zip(own, perturbed(planner.search, values[own], into, again), strict=True):
+            worst[row] = np.minimum(one.objective.min(axis=0), objective[row])
+            success_rate[row] = one.complete.mean()
     order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
-    first = order[:TOLERANCES]
-    known = tolerances(planner.search, values[first], folder / "tolerance", partial(_planned_again, planner, None))
-    yield mountings(order, worst, success_rate, dict(zip(first.tolist(), known, strict=True))), True
+    known: dict[int, PlacementTolerance] = {}
+    most = seams * most_tried(values.shape[1])
+    for own, into in _calls(clock, order[:TOLERANCES], folder / "tolerance", most):
+        found = tolerances(planner.search, values[own], into, partial(_planned_again, planner, None))
+        known |= dict(zip(own.tolist(), found, strict=True))
+    yield mountings(order, worst, success_rate, known), True
+
+
+def _calls(clock: Clock, rows: np.ndarray, folder: Path, plans: int) -> Iterator[tuple[np.ndarray, Path]]:
+    """Yield mountings that are perturbed together, with the folder of their plans: all without a time limit.
+
+    Args:
+        clock: The search's clock; with a limit, mountings are yielded one by one as long as the time suffices.
+        rows: Rows of the mountings, best first.
+        folder: The folder of the stage.
+        plans: Maximum number of plans for one mounting.
+    """
+    if clock.seconds is None:
+        yield np.sort(rows) if folder.name == "perturbed" else rows, folder
+        return
+    for k, row in enumerate(rows):
+        if not clock.fits(plans, quick=True):
+            return
+        yield np.array([row]), folder / f"{k:03d}"
 
 
 def _planned_again(
@@ -308,11 +318,6 @@ def _planned_again(
     # not marked as quick, so that the objective is the guaranteed clearance
     proven = MountingScores(planner.search, quick.run, quick.method, values, plans=quick.plans)
     return MountingResults(proven.complete, proven.objective)
-
-
-def _planned_margins(scores: MountingScores) -> Float[np.ndarray, "n"]:
-    """Return the margin with which each mounting was planned [m]."""
-    return scores.run.scenarios(scores.method)[MARGIN].to_numpy()[:: scores.seams]
 
 
 def _best_rows(confirmed: MountingScores) -> list[int]:
@@ -338,7 +343,7 @@ def _save_motions(
     if not mountings:
         return None
     rows = np.array([one.row for one in mountings])
-    margins = _planned_margins(confirmed)[rows]
+    margins = confirmed.margin_m[rows]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
     spec = sweep_of(search, confirmed.values[rows], margins)

@@ -1,10 +1,9 @@
-"""PLACE.yaml: search variables, objective and budget of a placement search.
+"""PLACE.yaml: search variables, objective and budget of a search for mountings that complete all of a job's seams.
 
 config: ../configs/duct.yaml                    # the job; without this key the default job
 place:                                          # ranges, see `ranges`
   workpiece.rotation_y_rad: [0.0, 1.0]
   workpiece.shift_m: [[-0.2, 0.2], [-0.2, 0.2], [0.0, 0.1]]
-seams: [weld.csv, left.csv]                     # each is planned at every mounting; default: the job's path
 objective: clearance                                # or cycle time, joint motion; a list of two gives a Pareto front
 within: {scenarios: 2000}                       # or {seconds: 60}
 """
@@ -16,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, field_validator, model_validator
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs import build, grid_axes, load_config, resolve, source_of
+from htcp_jax.jobs import build, load_config, resolve, source_of
 from htcp_jax.placement.ranges import Ranges, read_ranges
 from htcp_jax.planning import registry
 from htcp_jax.spec import PlanConfig, examples, strict_model
@@ -50,7 +49,6 @@ class PlaceFile(strict_model.FileSection):
 
     config: str | None = None
     place: dict[str, Any] = Field(default_factory=dict)
-    seams: tuple[str, ...] = ()
     objective: tuple[str, ...] = ("clearance",)
     feed: str = "20mm/s"  # feed rate of the tool, if the cycle time is an objective
     within: Budget = Budget(scenarios=2000)
@@ -90,7 +88,7 @@ class Search(NamedTuple):
     overrides: tuple[str, ...]
     job: PlanConfig
     ranges: Ranges
-    seams: tuple[str, ...]  # names of built-in seams, and absolute file names of others
+    seams: tuple[str, ...]  # names of the job's seams; empty if it has one
 
 
 def load_search(
@@ -109,23 +107,21 @@ def load_search(
         changes: Changes to the search, value by key.
 
     Raises:
-        InputError: If the search or the job is invalid, or if a seam is missing.
+        InputError: If the search or the job is invalid, or if seams are listed here and not in the job.
     """
     path, raw = examples.read_mapping(spec, "place")
-    file: PlaceFile = strict_model.validate_model({**raw, **(changes or {})}, PlaceFile, str(path))
+    raw = {**raw, **(changes or {})}
+    if "seams" in raw:
+        raise InputError(f"{path}: seams has moved to the job: list them there, each as {{name: ..., path: ...}}")
+    file: PlaceFile = strict_model.validate_model(raw, PlaceFile, str(path))
     if config is None and file.config is not None:
         config = examples.example_or_path(file.config, path.parent)
     job = load_config(config, overrides)
     robot = build.robot_of(job.robot, tree=job.tree)
     job = resolve(job, robot, source_of(config))
     ranges = read_ranges(f"{path}: place", file.place, robot.joint_names, job.model_dump())
-    words = grid_axes.FILE_KEYS["workpiece.path"]
-    seams = tuple(grid_axes.absolute(name if name in words else str(path.parent / name), words) for name in file.seams)
-    for name, seam in zip(file.seams, seams, strict=True):
-        if seam not in words and not Path(seam).is_file():
-            raise InputError(f"{path}: seams: no such file or seam of the duct: {name}")
-    if len(set(seams)) < len(seams):
-        raise InputError(f"{path}: seams: a seam is repeated")
+    names = tuple(seam.name for seam in job.workpiece.seams)
+    seams = names if len(names) > 1 else ()
     if file.within.scenarios is not None and file.within.scenarios < len(seams):
         raise InputError(f"{path}: within: scenarios must be at least {len(seams)}, the number of seams")
     return Search(path.stem, file, None if config is None else str(config), tuple(overrides), job, ranges, seams)

@@ -4,7 +4,7 @@ place.json            the search
 ranked.json           the ranked mountings, see `Mounting`
 mountings.parquet     every planned mounting: parameters, completed share of the targets, objectives, reason of failure
 ranked/               a run with the motions of the ranked mountings
-best-1.yaml           the job of the best mounting, for `htcp plan`, and so on; with several seams best-1-1.yaml, ...
+best-1.yaml           the job of the best mounting, for `htcp plan`, with all seams, and so on
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from htcp_jax.jobs import load_config, with_weights
 from htcp_jax.placement.mounting import MOUNTINGS, RANKED, Mounting
 from htcp_jax.placement.place_file import Search
 from htcp_jax.runs import columns as columns_of_files
-from htcp_jax.runs import manifest, open_run, provenance
+from htcp_jax.runs import input_files, manifest, open_run, provenance
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.spec import PlanConfig, examples
 from htcp_jax.system import files, lock, output_files, stop_message
@@ -59,14 +59,11 @@ class PlacementResult(NamedTuple):
 
     def seams(self) -> dict[str, tuple[int, float]]:
         """Return, for each seam, the number of mountings that complete it, and its completed share at the best one."""
-        names = self.search.seams or (self.search.job.workpiece.path,)
+        part = self.search.job.workpiece
+        names = self.search.seams or (part.path_label if part.seams else Path(part.path).stem,)
         done = np.concatenate([each.done for each in self.scores])
         best = done[np.lexsort((done.mean(axis=1), (done == 1).sum(axis=1)))[-1]]
-        alike = len({Path(name).stem for name in names}) < len(names)
-        return {
-            name if alike else Path(name).stem: (int((done[:, k] == 1).sum()), float(best[k]))
-            for k, name in enumerate(names)
-        }
+        return {name: (int((done[:, k] == 1).sum()), float(best[k])) for k, name in enumerate(names)}
 
     def record(self) -> dict[str, Any]:
         """Return the result as a mapping for JSON."""
@@ -84,12 +81,8 @@ class PlacementResult(NamedTuple):
 
     @property
     def jobs(self) -> list[list[str]]:
-        """Return the names of the ranked mountings' job files, one list per mounting, with one name per seam."""
-        k = len(self.search.seams)
-        return [
-            [f"best-{rank}-{seam}.yaml" for seam in range(1, k + 1)] if k > 1 else [f"best-{rank}.yaml"]
-            for rank in range(1, len(self.mountings) + 1)
-        ]
+        """Return the name of each ranked mounting's job file, in a list."""
+        return [[f"best-{rank}.yaml"] for rank in range(1, len(self.mountings) + 1)]
 
     def _row(self, one: Mounting) -> dict[str, Any]:
         axes, file = self.search.ranges.axes, self.search.file
@@ -212,15 +205,26 @@ def write_result(
 
 
 def _write_jobs(found: PlacementResult, configs: Sequence[PlanConfig]) -> None:
-    """Write a job file for every ranked mounting and seam, with the search's job and the keys that differ from it."""
+    """Write a job file for every ranked mounting, with the search's job, all its seams and the keys that differ.
+
+    Args:
+        found: The result.
+        configs: The jobs of the ranked mountings, one per seam.
+    """
     search, names = found.search, [name for own in found.jobs for name in own]
     for old in found.folder.glob("best-*.yaml"):
         old.unlink()
     base = {} if search.config is None else {"config": str(examples.example_or_path(search.config).resolve())}
-    plain = load_config(base.get("config"))
-    for name, config in zip(names, configs, strict=True):
+    plain, part = load_config(base.get("config")), load_config(search.config, search.overrides).workpiece
+    for name, config in zip(names, configs[:: max(1, len(search.seams))], strict=True):
         without = with_weights(plain, len(config.settings.q_weights)).model_dump(mode="json")
-        own = _changed_keys(config.model_dump(mode="json"), without) | {"method": search.file.confirm}
+        given = config.model_dump(mode="json")
+        if search.seams:  # each of `configs` has one of them
+            seams = [seam.model_dump(mode="json") for seam in part.seams]
+            given["workpiece"] |= {"path": part.path, "seams": seams}
+            for raw in (given, without):
+                input_files.anchor_files(raw)
+        own = _changed_keys(given, without) | {"method": search.file.confirm}
         text = f"# A mounting that htcp place ranked for {search.name}; htcp plan {name} gives its motion.\n"
         output_files.write_text(found.folder / name, text + yaml.safe_dump(base | own, sort_keys=False))
 

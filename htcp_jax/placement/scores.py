@@ -39,7 +39,9 @@ class MountingScores:
         method: The method.
         values: Parameters of the mountings, each in its unit in the job.
         quick: True for quick plans, whose proofs of clearance are coarse.
+        margin_m: Margin of each mounting; None: the job's.
         plans: Plans that replace the run's; None: the run's.
+        objective: Objectives that replace those of the plans; None: those of the plans.
     """
 
     def __init__(
@@ -50,12 +52,30 @@ class MountingScores:
         values: Float[np.ndarray, "n d"],
         *,
         quick: bool = False,
+        margin_m: Float[np.ndarray, "n"] | None = None,
         plans: Plans | None = None,
+        objective: Float[np.ndarray, "n A"] | None = None,
     ):
         self.search, self.run, self.method, self.values, self.quick = search, run, method, values, quick
         self.seams = max(1, len(search.seams))
+        self.margin_m = np.full(len(values), search.job.margin_m) if margin_m is None else margin_m
         if plans is not None:
             self.plans = plans
+        if objective is not None:
+            self.objective = objective
+
+    @staticmethod
+    def concatenate(parts: "Sequence[MountingScores]") -> "MountingScores":
+        """Return the scores of all parts, which have the same method; of the runs, it has the first."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        plans = Plans.concatenate([part.plans for part in parts])
+        values, margin, objective = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "margin_m", "objective")
+        )
+        known = {"quick": first.quick, "margin_m": margin, "plans": plans, "objective": objective}
+        return MountingScores(first.search, first.run, first.method, values, **known)
 
     @cached_property
     def plans(self) -> Plans:
@@ -105,7 +125,7 @@ def sweep_of(
     margin_m: Float[np.ndarray, "n"] | None = None,
     settings: Sequence[str] = (),
 ) -> Sweep:
-    """Return a sweep over mountings and seams.
+    """Return a sweep over mountings and seams; the rows of a mounting's seams are consecutive.
 
     Each scenario uses the same random numbers as if its job were planned alone.
 
@@ -121,8 +141,7 @@ def sweep_of(
     first: dict[str, Any] = search.ranges.columns(values)
     if margin_m is not None:
         first[MARGIN] = margin_m.tolist()
-    grid = [first, {"workpiece.path": list(search.seams)}] if search.seams else [first]
-    return replace(load_sweep({"grid": grid}, search.config, (*settings, *search.overrides)), alone=True)
+    return replace(load_sweep({"grid": [first]}, search.config, (*settings, *search.overrides)), alone=True)
 
 
 class MountingPlanner(NamedTuple):
@@ -156,7 +175,7 @@ class MountingPlanner(NamedTuple):
             Interrupted: As `runs.sweep.sweep`.
         """
         run = self.plan(sweep_of(self.search, values, margin_m, settings), method, folder)
-        return MountingScores(self.search, run, method, values, quick=bool(settings))
+        return MountingScores(self.search, run, method, values, quick=bool(settings), margin_m=margin_m)
 
     def evaluate_quickly(
         self, values: Float[np.ndarray, "n d"], folder: Path, margin_m: Float[np.ndarray, "n"] | None = None
@@ -164,7 +183,9 @@ class MountingPlanner(NamedTuple):
         """Plan by the search's quick method, with the settings QUICK."""
         return self.evaluate(values, self.search.file.screen, folder, margin_m, QUICK)
 
-    def evaluate_raised(self, values: Float[np.ndarray, "n d"], folder: Path, raised: Path) -> MountingScores:
+    def evaluate_raised(
+        self, values: Float[np.ndarray, "n d"], folder: Path, raised: Path, fits: Callable[[int], bool] = lambda _: True
+    ) -> MountingScores:
         """Plan mountings quickly and return the plans with the largest margin that was found.
 
         The first margin is the job's. If clearance is an objective, complete mountings are planned again with larger
@@ -174,11 +195,12 @@ class MountingPlanner(NamedTuple):
             values: The mountings.
             folder: The folder of the first plans.
             raised: The folder of the plans with larger margins.
+            fits: Function that returns False if there is no time for a number of plans with larger margins.
         """
         found = self.evaluate_quickly(values, folder)
         going = found.complete if CLEARANCE in self.search.file.objective else np.zeros(len(values), bool)
         for k in range(RAISED):
-            if not going.any():
+            if not going.any() or not fits(found.seams * int(going.sum())):
                 break
             margin = np.maximum(FACTOR * found.guaranteed, self.search.job.margin_m)[going]
             again = self.evaluate_quickly(values[going], raised / f"{folder.name}-{k}", margin)

@@ -140,9 +140,10 @@ def part_facts(part: Part) -> list[str]:
     over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
-    named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": scene.workpiece.path}
+    path = scene.workpiece.path_label if scene.workpiece.seams else scene.workpiece.path
+    named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": path}
     named_files = {key: BUILT_IN.get(name, Path(name).name) for key, name in named.items()}
-    for key in named.keys() & part.parameters.keys():
+    for key in (named.keys() - {"path"} if scene.workpiece.seams else named.keys()) & part.parameters.keys():
         named_files[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
     robot, cloud, path = named_files.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")

@@ -3,6 +3,7 @@
 `htcp reachability --each` runs it with a progress bar and writes its files.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ import pyarrow as pa
 from htcp_jax import viewer
 from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import tables as lanes
-from htcp_jax.jobs import Batch, load_sweep_or_job
+from htcp_jax.jobs import Batch, grid_axes, load_sweep_or_job
 from htcp_jax.motion import lane_inputs
 from htcp_jax.notebook import html_facts
 from htcp_jax.reachability import (
@@ -114,7 +115,8 @@ class ReachStudy:
         """
         joints = tables.joint_columns(self.batch.robot)
         places = (f"target_{axis}_m" for axis in "xyz")
-        keys = "scenario", "target", "waypoint", *places, "reach", "reason", *joints
+        seams = seam_names(self.batch)
+        keys = "scenario", *(("seam",) if seams else ()), "target", "waypoint", *places, "reach", "reason", *joints
         scenarios, rows = self.batch.scenarios, []
         for s, t in np.argwhere(self.each.reach != Reach.NOT_JUDGED).tolist():
             reach = Reach(int(self.each.reach[s, t]))
@@ -122,7 +124,8 @@ class ReachStudy:
             x = x.tolist() if reach == Reach.REACHABLE else [None] * len(joints)
             waypoint = t - int(scenarios.on_path[s])
             number = self.batch.points[s].number
-            rows.append((number, t, waypoint, *place, reach.words, self.reasons.get((s, t)), *x))
+            seam = seams[s : s + 1]
+            rows.append((number, *seam, t, waypoint, *place, reach.words, self.reasons.get((s, t)), *x))
         return Table("reach", columns.of(*keys), tuple(rows))
 
     def frame(self) -> "pandas.DataFrame":
@@ -135,13 +138,13 @@ class ReachStudy:
 
     def figure(self) -> "Figure":
         """Draw the workpiece with every target coloured by reach."""
-        panels = []
+        panels, seams = [], seam_names(self.batch)
         for s, point in enumerate(self.batch.points):
             cell, T = self.batch.cells[self.batch.cell[s]], np.asarray(self.batch.scenarios.T_world_workpiece[s])
             own = self.each.reach[s] != Reach.NOT_JUDGED
             panels.append(
                 viewer.ReachPanel(
-                    f"scenario {point.number}" if len(self.batch.points) > 1 else "",
+                    ": ".join([f"scenario {point.number}", *seams[s : s + 1]]) if len(self.batch.points) > 1 else "",
                     cell.workpiece.shown @ T[:3, :3].T + T[:3, 3],
                     np.asarray(self.batch.scenarios.targets[s])[own],
                     self.each.reach[s][own],
@@ -270,9 +273,16 @@ def record_of(batch: Batch, found: Reachability, requested_rad: float, proof_cel
         "seed": seed,
         "targets": int(batch.scenarios.count.sum()),
     }
+    if seams := seam_names(batch):
+        record["seams"] = seams
     if found.each is not None:
         record["each"] = [[Reach(number).words for number in row] for row in found.each.reach.tolist()]
     return record
+
+
+def seam_names(batch: Batch) -> list[str]:
+    """Return the name of each scenario's seam; empty if the job has one seam."""
+    return [json.loads(own[grid_axes.SEAM]) for point in batch.points if grid_axes.SEAM in (own := point.varied)]
 
 
 def _resolution(batch: Batch, found: Reachability, requested_rad: float) -> float | None:
