@@ -18,7 +18,7 @@ from htcp_jax.trajectory.formats.writers import program_text
 STEP_S = 0.002
 ENDINGS = {
     "csv": "csv", "ros": "yaml", "ros-json": "json", "jbi-pulses": "jbi", "rapid": "mod", "urscript": "script",
-    "keyframes": "xml",
+    "keyframes": "xml", "krl": "src",
 }  # fmt: skip
 NAMES = ["weld", "A1", "seam_2", "w"]  # of programs
 # A rail, six hinges, and a hinge of a positioner at the end of the chain.

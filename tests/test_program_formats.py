@@ -346,15 +346,17 @@ def whole(timed: TimedMotion) -> ControllerData:
 @pytest.mark.parametrize("format", FORMATS)
 def test_every_file_says_what_it_does_not_hold(format):
     text = program_text(format, a_motion(), whole(a_motion()))
-    said = re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+    said = re.sub(r"\s+", " ", re.sub(r"\r\n[';]", " ", text))
     for what in ("tool data", "frames", "signals", "safety", "not proven clear"):
         assert what in said, what
 
 
-@pytest.mark.parametrize("format", ["jbi-pulses", "rapid", "urscript"])
+@pytest.mark.parametrize("format", ["jbi-pulses", "rapid", "krl", "urscript"])
 def test_joint_values_for_a_controller_come_with_the_advice_to_check_its_axes(format):
     text = program_text(format, a_motion(), whole(a_motion()))
-    assert "check signs, zeros and coupled axes (parallel linkages)" in re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+    assert "check signs, zeros and coupled axes (parallel linkages)" in re.sub(
+        r"\s+", " ", re.sub(r"\r\n[';]", " ", text)
+    )
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -375,7 +377,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("gcode", a_motion(), {}, "'gcode' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses"),
         ("csv", NO_CONFIGURATION, {}, "the motion has no configurations"),
         ("csv", STILL, {}, "the time of configuration 2 is not later"),
         ("jbi", a_motion(), {"user_frame": None}, "set program.user_frame"),
@@ -406,6 +408,13 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
             "name 'torch' is a word of the language, or used",
         ),
         ("rapid", a_motion(), {"tool_name": "Pers"}, "program.tool_name 'Pers' is a word of the language"),
+        ("krl", a_motion(7), {}, "a robot of 7 joints; E6AXIS has 6; set program.groups for external axes"),
+        ("krl", a_motion(), {"slides": (True, *[False] * 5)}, "j0 is a slide joint; put it into program.groups.base"),
+        ("krl", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
+        ("krl", a_motion(), {"name": "2 welds"}, "procedure name '2 welds' is not valid"),
+        ("krl", a_motion(), {"name": "EndFor"}, "name 'EndFor' is a word of the language"),
+        ("krl", a_motion(), {"speed": None}, "krl: the full joint speeds are missing; set program.velocity"),
+        ("krl", a_motion(), {"speed": np.full(6, 0.1)}, "j0 at 200.0 % of its full speed"),
         *(("urscript", a_motion(), {"name": word}, f"name {word!r} is a word of the language") for word in URSCRIPT),
         ("jbi-pulses", MANY, {}, "but a job has at most 9,999; use a path with fewer points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),

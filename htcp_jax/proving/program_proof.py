@@ -105,5 +105,5 @@ def joined(parts: Sequence[MotionFile]) -> MotionFile:
         found = [getattr(each, name) for each in parts]
         return None if any(each is None for each in found) else np.concatenate(found)
 
-    names = ("x", "velocity", "acceleration", "corner_m", "line", "poses")
+    names = ("x", "velocity", "acceleration", "corner_m", "line", "poses", "corner_share")
     return first._replace(**{name: stacked(name) for name in names}, time_s=None, kind=None)

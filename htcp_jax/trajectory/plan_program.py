@@ -35,6 +35,7 @@ from htcp_jax.trajectory.limits import MotionLimits, joint_limits
 from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.near_part import near_part_speeds
 from htcp_jax.trajectory.program import Program, time_motion
+from htcp_jax.trajectory.seam_spans import process_outputs, seam_spans
 from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -53,6 +54,7 @@ class PlanProgram(NamedTuple):
     method: str
     x: Float[np.ndarray, "T N"]  # configurations at the targets [rad or m]
     goals: Float[np.ndarray, "T G"]  # the task's goals at the targets [m]
+    seam_begins: tuple[int, ...] = ()  # first targets of the second and of each later seam
 
     @property
     def manipulability(self) -> Float[np.ndarray, "T"]:
@@ -177,6 +179,9 @@ class PlanProgram(NamedTuple):
             control_step_s=requested.control_step_s,
             in_file=in_file and in_file.order,
             locked=in_file.locked if in_file else dict(self.job.robot.locked),
+            seams=seam_spans(self.job, timed, self.seam_begins),
+            process=process_outputs(self.job, format),
+            j3_from=requested.j3_from,
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:
@@ -197,7 +202,7 @@ class PlanProgram(NamedTuple):
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
         requested = self.job.program.coupled
-        if requested and format in ("urscript", "jbi-pulses"):
+        if requested and format in ("urscript", "jbi-pulses", "krl", "ls"):
             raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
         found = coupled_axes(self.job, self.robot)
         for axis, joint in requested:
@@ -309,7 +314,7 @@ def timed_plan(
         left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
     at = plans.x[scenario], plans.target[scenario] if goals is None else goals
     made = time_motion(robot, whole, left, limits, feed_m_s, near_part_speeds(job))
-    return PlanProgram(made, robot, job, limits, method, *at)
+    return PlanProgram(made, robot, job, limits, method, *at, plans.seam_begins)
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:
