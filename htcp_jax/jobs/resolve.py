@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from htcp_jax.errors import InputError
-from htcp_jax.jobs.seam_paths import with_seams_of_files
+from htcp_jax.jobs.seam_paths import feed_of_files, with_seams_of_files
 from htcp_jax.model import Robot
 from htcp_jax.spec import PlanConfig
 
@@ -25,8 +25,14 @@ def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") ->
 
 
 def with_seams(job: PlanConfig) -> PlanConfig:
-    """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`."""
+    """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`.
+
+    If the job has no feed, it gets that of its files, see `feed_of_files`.
+    """
     part = with_seams_of_files(job.workpiece)
+    feed = feed_of_files(job.workpiece) if job.program.feed is None else None
+    if feed is not None:
+        job = job.model_copy(update={"program": job.program.model_copy(update={"feed": feed})})
     return job if part is job.workpiece else job.model_copy(update={"workpiece": part})
 
 

@@ -49,7 +49,9 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
         found = read(part.path).seams if is_file(part, part.path) else ()
         if len(found) < 2:
             return part
-        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count)) for each in found]
+        # a CAM system's contours have a direction
+        way = {"direction": "forward"} if parts.has_feeds(Path(part.path)) else {}
+        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count), **way) for each in found]
         check_seams(seams)
         return part.model_copy(update={"path": SEVERAL, "seams": tuple(seams)})
     split = {seam.name: _split(seam, read(seam.path)) for seam in part.seams}
@@ -61,6 +63,27 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     ]
     check_seams(seams)
     return part.model_copy(update={"seams": tuple(seams)})
+
+
+def feed_of_files(part: WorkpieceConfig) -> str | None:
+    """Return the feed that all seams of the paths' files have, with its unit; None if they state several, or none.
+
+    Args:
+        part: The section `workpiece`.
+
+    Raises:
+        InputError: If a file cannot be read.
+    """
+    paths = {seam.path for seam in part.seams} or {part.path}
+    files = [path for path in paths if is_file(part, path)]
+    if not files or not all(parts.has_feeds(Path(path)) for path in files):
+        return None
+    read = _reader(part)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        feeds = {feed for path in files for feed in read(path).feeds_m_s}
+    feed = feeds.pop() if len(feeds) == 1 else None
+    return None if feed is None else f"{1e3 * feed:.9g}mm/s"
 
 
 def check_one_seam(part: WorkpieceConfig) -> None:
