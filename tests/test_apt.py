@@ -152,7 +152,7 @@ def test_what_is_not_used_is_named(tmp_path):
         warnings.simplefilter("always")
         read_path_points(tmp_path / "part.cls")
     notes = " ".join(str(each.message) for each in caught)
-    for said in ("not used: LOADTL", "its frame (MSYS, CATIA0) is not applied", "2 tools", "several feeds"):
+    for said in ("not used: LOADTL", "its frame (MSYS, CSYS, CATIA0) is not applied", "2 tools", "several feeds"):
         assert said in notes
 
 
@@ -177,7 +177,7 @@ def test_what_is_not_used_is_named(tmp_path):
         ("UNITS/FEET\n", ", line 1: UNITS/FEET is not known; valid: MM, INCH, INCHES, IN, CM"),
         ("GOTO/0,0,0\n", ", line 1: the unit is unknown: UNITS is missing; set workpiece.path_unit"),
         ("UNITS/MM\nGODLTA/0,0,1\n", ", line 2: GODLTA without a position before it"),
-        ("MSYS/0,0,0,1,0,0,0,1,0\nMSYS/0,0,1,1,0,0,0,1,0\n", ", line 2: a second MSYS"),
+        (f"MSYS/0,0,0,1,0,0,0,1,0\n{START}GOTO/1,0,0\nMSYS/0,0,1,1,0,0,0,1,0\n", ", line 7: a second MSYS"),
         ("%\nO0001\nG90 G54\n", ", line 1: G-code is not read: its rotations are the axes of one machine"),
         ("N10 G1 X1 Y2 B30 F500\n", ", line 1: G-code is not read"),
         ("UNITS/MM\nRAPID\nGOTO/0,0,0\n", ": no contour"),

@@ -366,7 +366,7 @@ COMMANDS = [
     ),
     Wrong(
         ["program", "nowhere", "--feed", "20mm/s", "--out", "a.out", "--format", "gcode"],
-        "'gcode' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid, krl, urscript, keyframes",
+        "'gcode' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid, krl, ls, urscript, key",
     ),
     Wrong(["program", LONG, "--feed", "20mm/s", "--out", "a.csv"], "File name too long"),
     Wrong(["gate", "run"], "--baseline"),

@@ -15,7 +15,9 @@ from htcp_jax.proving.scene import scene_of
 from htcp_jax.proving.worst import Contact, deepest_contact
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import output_files, temporary_folder
-from htcp_jax.trajectory import PlanProgram, ProgramFile
+from htcp_jax.trajectory import FileMotion, PlanProgram, ProgramFile
+
+ROUNDS = 4  # maximum number of times that corners are made exact
 
 
 class ProgramProof(NamedTuple):
@@ -69,6 +71,39 @@ def prove_program(
         first = (refuted if len(refuted) else unproven)[:1].tolist()
         contact = deepest_contact(problem, curves, first[0]) if first else None
     return ProgramProof(motion, proof, contact, time.perf_counter() - began)
+
+
+def prove_with_exact_corners(
+    made: PlanProgram, format: str, name: str, file: FileMotion, device: str | None = None
+) -> tuple[list[ProgramFile], ProgramProof]:
+    """Return a program's files and their proof; corners that cannot be proven if they are rounded are exact.
+
+    Only formats that round corners in shares of their legs (krl, ls) can be changed in this way.
+
+    Args:
+        made: The program.
+        format: Name of the format in `trajectory.FORMATS`.
+        name: Name of the program.
+        file: The configurations, see `PlanProgram.in_file`.
+        device: The device; None: a GPU if there is one.
+
+    Raises:
+        InputError: If `PlanProgram.files` or `prove_program` raises it.
+    """
+    files = made.files(format, name, file)
+    found = prove_program(made, format, files, device)
+    for _ in range(ROUNDS):
+        if not found.is_undecided or found.proof is None or found.motion.corner_share is None:
+            break
+        corners = np.flatnonzero(found.proof.cause == UndecidedCause.CORNER) + 1
+        if not len(corners):
+            break
+        blended = np.ones(len(file.timed.x)) if file.timed.blended is None else file.timed.blended.copy()
+        blended[corners] = 0.0
+        file = file._replace(timed=file.timed._replace(blended=blended))
+        files = made.files(format, name, file)
+        found = prove_program(made, format, files, device)
+    return files, found
 
 
 def read_back(made: PlanProgram, format: str, files: Sequence[ProgramFile]) -> MotionFile:

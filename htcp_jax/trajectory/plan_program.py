@@ -27,6 +27,7 @@ from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
+from htcp_jax.trajectory.exact_corners import with_exact_corners
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
@@ -89,6 +90,8 @@ class PlanProgram(NamedTuple):
             InputError: If `program_files` or `controller` raises it.
         """
         timed = self._with_axes(format, file.timed)
+        if format_of(format).whole_corners:
+            timed = with_exact_corners(self.robot, timed, self.job.settings.tube_m)
         return program_files(format, timed, self.controller(format, name, timed))
 
     def timed(self, format: str, step_s: float | None = None, max_points: int | None = None) -> TimedMotion:
@@ -166,7 +169,7 @@ class PlanProgram(NamedTuple):
             joints_in_file(source, timed.joint_names, dict(self.job.robot.locked)) if format == "keyframes" else None
         )
         return ControllerData(
-            name.upper() if format.startswith("jbi") else name,
+            name.upper() if format.startswith("jbi") or format == "ls" else name,
             (*self.robot.sliding, *(self.robot.slides[j] for j in followers))[: len(timed.joint_names)],
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,

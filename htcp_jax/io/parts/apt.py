@@ -33,7 +33,7 @@ NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EDed][-+]?\d+)?")
 BLOCK = re.compile(r"%\s*|(?:[NO]\d+\b|G0?[0-3]\b).*", re.IGNORECASE)
 OPERATION = re.compile(r"(?:TOOL\s*PATH\s*/\s*([^,]+).*|.*\bOPERATION\s+NAME\s*:\s*(.+))", re.IGNORECASE)
 SYSTEM = re.compile(r"\$\$\s*\*\s*CATIA0", re.IGNORECASE)
-TEXTS = {"PPRINT", "PARTNO", "REMARK", "LETTER", "TITLES"}  # records of text
+TEXTS = {"INSERT", "PPRINT", "PARTNO", "REMARK", "LETTER", "TITLES"}  # records of text
 LENGTHS = {"MM": "mm", "INCH": "in", "INCHES": "in", "IN": "in", "CM": "cm"}
 PER_MINUTE = {"MMPM": "mm", "IPM": "in", "PERMIN": None}  # units of feeds and their lengths; None: the file's
 PER_TURN = {"MMPR", "IPR", "PERREV"}
@@ -43,8 +43,12 @@ STILL = {  # records without motion
     "STOP", "OPSTOP", "END", "FINI", "REWIND", "TOOLPATH", "TLDATA", "PAINT", "END-OF-PATH", "SELECT", "SELCTL", "SET",
     "MODE", "DELAY", "SEQNO", "LEADER", "CLPRNT", "OPSKIP", "AUXFUN", "CLRSRF", "CLEARP", "CLAMP", "DISPLY", "PLABEL",
     "ISN", "VERIFY", "TDATA", "CATPROCESS", "CATPRODUCT", "PROGRM", "TMARK", "AUTOPS", "NOPOST", "GOUGCK", "PLUNGE",
-    "DRAFT", "PPTOL", "CHECK", "HEADER",
+    "DRAFT", "PPTOL", "CHECK", "HEADER", "INSERT",
 }  # fmt: skip
+IDENTITIES = {  # records that state the points' frame, with the values of the part's own
+    "MSYS": [0, 0, 0, 1, 0, 0, 0, 1, 0],
+    "CSYS": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0],
+}
 ARCS = {"CIRCLE", "ARC", "MOVARC", "TLON", "CYLNDR", "ARCSLP"}
 
 
@@ -123,7 +127,9 @@ def _records(path: Path, text: str, reader: "_Reader") -> Iterator[_Record]:
         plain = full.partition("$$")[0].strip()
         if not held and BLOCK.fullmatch(plain):
             raise InputError(f"{path}, line {number}: {NO_G_CODE}")
-        if not held and re.split(r"[\s/]", plain.upper(), maxsplit=1)[0] in TEXTS:
+        word = re.split(r"[\s/]", plain.upper(), maxsplit=1)[0]
+        if not held and word in TEXTS:
+            reader.unused |= {word} & {"INSERT"}
             continue
         before, dollar, _ = plain.partition("$")
         begin = begin if held else number
@@ -165,30 +171,40 @@ class _Reader:
             state.position, self.is_open = None, False
         elif word == "FEDRAT":
             self._feed(record)
-        elif word == "UNITS":
+        elif word in ("UNITS", "UNIT"):
             self._units(record)
         elif word == "TLAXIS":
             state.axis = self._axis(record, self._numbers(record, record.values, (3,)))
-        elif word == "MSYS":
-            frame = f"MSYS/{','.join(record.values)}"
-            if self.frames and frame not in self.frames:
-                self.fail(record, "a second MSYS, whose points are in another frame; write one file for each frame")
-            self.frames.append(frame)
+        elif word in IDENTITIES:
+            self._frame(record)
         elif word == "MULTAX" and [each.upper() for each in record.values] in ([], ["ON"], ["OFF"]):
             return
         elif word in ("CYCLE", "CUTCOM") and [each.upper() for each in record.values] == ["OFF"]:
             return
         elif word == "ORIGIN" and not any(self._numbers(record, record.values, (3, 9))[:3]):
             return
+        elif word == "TRNTYP" and not any(self._numbers(record, record.values[1:], (3,))):
+            return
         elif word in ARCS or word.startswith("TLON"):
             self.fail(
                 record, f"{word} moves in a way that cannot be read; let the CAM system write arcs as points, by GOTO"
             )
-        elif word in STILL:
+        elif word in STILL or word.startswith("CSI_"):
             self.tools += word in ("LOADTL", "LOAD")
             self.unused |= {word} - QUIET
         else:
             self.fail(record, f"{word[:40]} is not known, it may move; only GOTO, GODLTA, FROM and RAPID can be read")
+
+    def _frame(self, record: _Record) -> None:
+        """Keep the frame of the points that follow.
+
+        Raises:
+            InputError: If the points before are in another one.
+        """
+        frame = f"{record.word}/{','.join(record.values)}"
+        if self.contours and any(other != frame for other in self.frames if other.startswith(record.word)):
+            self.fail(record, f"a second {record.word}, whose points are in another frame; write a file for each frame")
+        self.frames.append(frame)
 
     def _numbers(self, record: _Record, cells: list[str], counts: tuple[int, ...]) -> list[float]:
         if len(cells) not in counts:
@@ -291,7 +307,7 @@ class _Reader:
         if self.unused:
             notes.append(f"records that are not used: {', '.join(sorted(self.unused))}")
         if self.frames and any(not _is_identity(frame) for frame in self.frames):
-            notes.append("its frame (MSYS, CATIA0) is not applied: points are used as written")
+            notes.append("its frame (MSYS, CSYS, CATIA0) is not applied: points are used as written")
         if self.tools > 1:
             notes.append(f"{self.tools} tools are loaded, but all seams are planned with the job's tool")
         if any(len({*each.feeds}) > 1 for each in contours):
@@ -306,8 +322,9 @@ def _filled(axes: list[np.ndarray | None]) -> Float[np.ndarray, "T 3"]:
 
 
 def _is_identity(frame: str) -> bool:
-    cells = frame.removeprefix("MSYS/").split(",")
-    return all(map(NUMBER.fullmatch, cells)) and [float(cell) for cell in cells] == [0, 0, 0, 1, 0, 0, 0, 1, 0]
+    word, _, values = frame.partition("/")
+    cells = values.split(",")
+    return all(map(NUMBER.fullmatch, cells)) and [float(cell) for cell in cells] == IDENTITIES.get(word)
 
 
 def _labels(operations: list[str]) -> list[str]:

@@ -110,6 +110,8 @@ def _is_process(timed: TimedMotion) -> Bool[np.ndarray, "n"]:
 def _stops(timed: TimedMotion, controller: ControllerData) -> Bool[np.ndarray, "n"]:
     """Return True for rows at which the arm stops."""
     stops = np.abs(timed.velocity).max(axis=1, initial=0.0) <= SLOWEST
+    if timed.blended is not None:
+        stops |= timed.blended <= 0
     stops[[0, -1, *controller.rows_with_outputs]] = True
     return stops
 
