@@ -103,6 +103,11 @@ def test_a_contour_begins_where_its_first_move_at_a_feed_begins_and_rapids_divid
     assert [tuple(seam) for seam in found.seams] == [("1", 0, 3), ("2", 3, 3)]
 
 
+def test_the_tool_axis_holds_until_it_changes_and_begins_with_z(tmp_path):
+    found = read(tmp_path, f"{START}GOTO/1,0,0\nTLAXIS/0,1,0\nGOTO/2,0,0\nGOTO/3,0,0,1,0,0\nMULTAX/OFF\nGOTO/4,0,0\n")
+    assert found.frames.normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 0, 0]]
+
+
 def test_contours_are_called_as_their_operations(tmp_path):
     nx = "TOOL PATH/RIB,TOOL,MILL\nRAPID\nGOTO/0,0,0\nGOTO/1,0,0\nRAPID\nGOTO/5,0,0\nGOTO/6,0,0\nEND-OF-PATH\n"
     found = read(tmp_path, f"UNITS/MM\n{nx}PPRINT OPERATION NAME : Boss\nRAPID\nGOTO/7,0,0\nGOTO/8,0,0\n")
@@ -123,7 +128,7 @@ def test_feeds_are_read_with_their_units(feed, mm_s, tmp_path):
 
 def test_a_feed_that_all_contours_have_becomes_the_jobs_and_contours_keep_their_direction(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    two = "GOTO/1,0,0\nRAPID\nGOTO/5,0,0\n{}GOTO/6,0,0\n"
+    two = "GOTO/1,0,0\nRAPID\nGOTO/5,0,0\n{}GOTO/6,0,0\nFINI\n"
     for feed, expected in (("", "10mm/s"), ("FEDRAT/60,MMPM\n", None)):
         (tmp_path / "part.apt").write_text(START + two.format(feed))
         job = with_seams(load_config(None, ["workpiece.path=part.apt", "workpiece.cloud=none"]))
@@ -152,7 +157,13 @@ def test_what_is_not_used_is_named(tmp_path):
         warnings.simplefilter("always")
         read_path_points(tmp_path / "part.cls")
     notes = " ".join(str(each.message) for each in caught)
-    for said in ("not used: LOADTL", "its frame (MSYS, CSYS, CATIA0) is not applied", "2 tools", "several feeds"):
+    for said in (
+        "complete",
+        "not used: LOADTL",
+        "its frame (MSYS, CSYS, CATIA0) is not applied",
+        "2 tools",
+        "several feeds, the first one 1, 1.5 mm/s",
+    ):
         assert said in notes
 
 

@@ -15,7 +15,7 @@ from htcp_jax.io.motions.source import DEG, Rows, Source, listed
 
 AXES = 6
 HALF = 0.5  # largest share of a leg in which a corner is rounded
-ROUTINE = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(.*\)", re.IGNORECASE)
+ROUTINE = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\([^()]*\)", re.IGNORECASE)
 DECLARED = re.compile(
     r"(?:DECL\s+)?(?:GLOBAL\s+)?(?:CONST\s+)?(\w+)\s+(\w+)\s*(\[[^\]]*\])?\s*(?:=\s*(.*))?", re.IGNORECASE
 )
@@ -24,6 +24,7 @@ MOVE = re.compile(r"PTP\b\s*(\{[^}]*\}|\$?\w+)\s*(C_PTP)?(?:\s+C_(?:DIS|ORI|VEL)
 LITERAL = re.compile(r"\{\s*(?:(\w+)\s*:)?\s*(.*?)\s*\}")
 ELEMENT = re.compile(r"([A-Za-z]\w*)\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
+APPROXIMATIONS = ".cptp", ".cdis", ".cori", ".cvel"
 TYPES = {"int", "real", "bool", "char", "axis", "e6axis", "pos", "e6pos", "frame", "fdat", "pdat", "ldat", "load"}
 CALLS = {"bas", "pulse", "ir_stopm"}  # standard routines that do not move with these arguments
 MOVES = {"lin", "circ", "ptp_rel", "lin_rel", "circ_rel", "sptp", "slin", "scirc", "sptp_rel", "slin_rel", "scirc_rel",
@@ -123,6 +124,8 @@ def _moves(source: Source) -> tuple[list[_Move], list[str]]:
 
 def _approximation(source: Source, each: _Statement, part: str, value: str, before: float | None) -> float | None:
     """Return $APO.CPTP after an assignment [%]; None if it is unknown."""
+    if part and part.lower() not in APPROXIMATIONS:
+        source.fail(each.line, f"$APO{part} is not known; valid: {', '.join(APPROXIMATIONS).upper()}")
     if part.lower() != ".cptp":
         cptp = None if part else {key.upper(): number for key, number in (_literal(value) or {}).items()}.get("CPTP")
         return before if part else cptp
@@ -159,7 +162,7 @@ def _main(source: Source) -> tuple[list[_Statement], dict[str, dict[str, float] 
     Raises:
         InputError: If there is no procedure, if its end is missing, or if another routine moves.
     """
-    routine, ended = "", set[str]()
+    routine = ""
     bodies: dict[str, list[_Statement]] = {}
     known: dict[str, dict[str, float] | None] = {}
     for each in _without_loops(source, _statements(source)):
@@ -169,7 +172,8 @@ def _main(source: Source) -> tuple[list[_Statement], dict[str, dict[str, float] 
             routine = begun[1]
             bodies.setdefault(routine.lower(), [])
         elif each.word in ("end", "endfct"):
-            ended.add(routine.lower())
+            if not routine or each.text.lower() != each.word:
+                source.fail(each.line, f"{each.text[:40]!r} does not end a routine")
             routine = ""
         elif each.word in ("defdat", "enddat"):
             continue

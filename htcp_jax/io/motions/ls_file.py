@@ -6,6 +6,7 @@ inside it up to the middle of both legs. J3 is counted from the horizontal, see 
 """
 
 import re
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from htcp_jax.io.motions.source import DEG, Rows, Source, elapsed, listed
 
 AXES = 6
 HALF = 0.5  # share of a leg in which a corner with CNT may be rounded
-SECTION = re.compile(r"/(PROG|ATTR|APPL|MN|POS|END)\b.*")
+SECTION = re.compile(r"/(?:(PROG)\s+\w+(?:\s+\w+)?|(ATTR|APPL|MN|POS|END))")
+ORDER = "PROG", "ATTR", "APPL", "MN", "POS", "END"
 MOVE = re.compile(
     r"J\s*P\[\s*(\d+)\s*(?::[^\]]*)?\]\s*(\d+(?:\.\d*)?|\.\d+)\s*(%|sec|msec)\s*(FINE|CNT\s*\d+|CNT\s*R\[\d+\])\s*(.*)"
 )
@@ -104,10 +106,17 @@ def _sections(source: Source) -> tuple[list[tuple[int, str]], dict[int, _Positio
     pos: list[str] = []
     for number, full in enumerate(source.text.splitlines(), start=1):
         if (found := SECTION.fullmatch(full.strip())) is not None:
-            section = found[1]
+            after = found[1] or found[2]
+            if (ORDER.index(section) if section else -1) >= ORDER.index(after):
+                source.fail(
+                    number, f"/{after} after /{section}; valid: {' '.join(f'/{each}' for each in ORDER)}, once each"
+                )
+            section = after
             positions_at = number if section == "POS" else positions_at
         elif section == "POS":
             pos.append(full)
+        elif full.strip() and section in ("", "END"):
+            source.fail(number, f"{full.strip()[:40]!r} is outside of /PROG and /END")
         elif section == "MN" and full.strip():
             begin = begin if text else number
             text = f"{text} {full.strip()}".strip()
@@ -160,11 +169,17 @@ def _values(source: Source, position: _Position, columns: dict[str, int]) -> np.
     parts = GROUP.split(position.text)
     if parts[0].strip():
         source.fail(position.line, f"{parts[0].strip()[:40]!r} is not a group of a position")
+    if len({*parts[1::2]}) < len(parts[1::2]):
+        source.fail(position.line, f"a group is given twice: {', '.join(f'GP{number}' for number in parts[1::2])}")
     for number, text in zip(parts[1::2], parts[2::2], strict=True):
         rest = FRAME.sub("", text, count=1)
         if "CONFIG" in rest or re.search(r"\bX\s*=", rest):
             source.fail(position.line, "a pose; only joint values have a configuration")
-        for name, value, unit in AXIS.findall(rest):
+        axes = AXIS.findall(rest)
+        names = [name.replace("J", "A") for name, _, _ in axes]  # J1 to J9 come before E1
+        if any(a >= b for a, b in pairwise(names)):
+            source.fail(position.line, f"the axes of group {number} are not in order, each once")
+        for name, value, unit in axes:
             key = f"{number} {name}"
             if key not in columns and float(value):
                 names = listed(list(columns))

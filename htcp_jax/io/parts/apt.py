@@ -37,6 +37,7 @@ TEXTS = {"INSERT", "PPRINT", "PARTNO", "REMARK", "LETTER", "TITLES"}  # records 
 LENGTHS = {"MM": "mm", "INCH": "in", "INCHES": "in", "IN": "in", "CM": "cm"}
 PER_MINUTE = {"MMPM": "mm", "IPM": "in", "PERMIN": None}  # units of feeds and their lengths; None: the file's
 PER_TURN = {"MMPR", "IPR", "PERREV"}
+ENDS = {"FINI", "END", "END-OF-PATH", "STOP", "REWIND"}  # last records of complete files
 QUIET = {"FINI", "END", "REWIND", "TOOLPATH", "PAINT", "END-OF-PATH"}  # of `STILL`, those that no Note names
 STILL = {  # records without motion
     "SPINDL", "COOLNT", "LOADTL", "LOAD", "TOOLNO", "CUTTER", "MACHIN", "MCHTOL", "INTOL", "OUTTOL", "TOLER", "LINTOL",
@@ -154,13 +155,14 @@ class _Reader:
         self.frames: list[str] = []  # stated frames
         self.unused: set[str] = set()
         self.tools = 0
+        self.last = ""  # word of the last record
 
     def fail(self, record: _Record, message: str) -> None:
         raise InputError(f"{self.path}, line {record.line}: {message}")
 
     def take(self, record: _Record) -> None:
         """Use one record."""
-        word, state = record.word, self.state
+        word, state, self.last = record.word, self.state, record.word
         if word in ("GOTO", "GODLTA"):
             self._move(record)
         elif word == "FROM":
@@ -304,14 +306,20 @@ class _Reader:
 
     def _name_unused(self, contours: list[_Contour]) -> None:
         notes = []
+        if self.last not in ENDS:
+            notes.append("it does not end with FINI or END-OF-PATH; check that the file is complete")
         if self.unused:
             notes.append(f"records that are not used: {', '.join(sorted(self.unused))}")
         if self.frames and any(not _is_identity(frame) for frame in self.frames):
             notes.append("its frame (MSYS, CSYS, CATIA0) is not applied: points are used as written")
         if self.tools > 1:
             notes.append(f"{self.tools} tools are loaded, but all seams are planned with the job's tool")
-        if any(len({*each.feeds}) > 1 for each in contours):
-            notes.append("some contours have several feeds, which are not used; set program.feed")
+        if several := [each for each in contours if len({*each.feeds}) > 1]:
+            feeds = ", ".join(
+                "unknown" if feed is None else f"{1e3 * feed:.6g}" for feed in dict.fromkeys(several[0].feeds)
+            )
+            what = f"{len(several)} contours have several feeds, the first one {feeds} mm/s"
+            notes.append(f"{what}, which are not used; set program.feed")
         for note in notes:
             warnings.warn(f"{self.path}: {note}", Note, stacklevel=6)
 
