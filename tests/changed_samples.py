@@ -241,6 +241,63 @@ MoveAbsJ [[12,22,32,42,52,62],[{NO_AXES}]],v1000\\T:=0.75,fine,tool0;
 ENDPROC
 ENDMODULE
 """
+KRL = """&ACCESS RVP
+DEF weld()
+DECL E6AXIS begin
+BAS(#INITMOV,0)
+begin={A1 10, A2 20, A3 30, A4 40, A5 50, A6 60}
+$VEL_AXIS[1]=5
+PTP begin
+$OUT[5]=TRUE
+$APO.CPTP=20
+PTP {E6AXIS: A1 11, A2 21, A3 31, A4 41, A5 51, A6 61} C_PTP
+PTP {A1 12, A2 22, A3 32, A4 42, A5 52, A6 62}
+END
+"""
+LS = """/PROG WELD
+/ATTR
+/MN
+   1:J P[1] 5% FINE ;
+   2:  DO[5]=ON ;
+   3:J P[2] 500msec CNT50 ;
+   4:J P[3] 2.5sec FINE ;
+/POS
+P[1]{
+   GP1:
+ UF : 0, UT : 1,
+ J1= 10 deg, J2= 20 deg, J3= 30 deg,
+ J4= 40 deg, J5= 50 deg, J6= 60 deg
+};
+P[2]{
+   GP1:
+ UF : 0, UT : 1,
+ J1= 11 deg, J2= 21 deg, J3= 31 deg,
+ J4= 41 deg, J5= 51 deg, J6= 61 deg
+};
+P[3]{
+   GP1:
+ UF : 0, UT : 1,
+ J1= 12 deg, J2= 22 deg, J3= 32 deg,
+ J4= 42 deg, J5= 52 deg, J6= 62 deg
+};
+/END
+"""
+APT = """PARTNO PRISM
+UNITS/MM
+FROM/1,2,3,0,0,1
+FEDRAT/600,MMPM
+RAPID
+GOTO/10,20,30,0,0.6,0.8
+GOTO/11,21,31
+GOTO/12,22,32,$
+0.6,0,0.8
+COOLNT/ON
+RAPID
+GOTO/40,50,60
+GODLTA/1,2,3
+GOTO/41.5,51.5,61.5
+FINI
+"""
 URSCRIPT = """def weld():
 home = [0.1,0.2,0.3,0.4,0.5,0.6]
 movej(home, 1.5, 0.5)
@@ -276,6 +333,7 @@ SAMPLES = {
     "arm.urdf": ARM_URDF, "vendor.urdf": VENDOR_URDF, "arm.xml": ARM_MJCF, "vendor.xml": VENDOR_MJCF, "cell.xml": CELL,
     "arm.srdf": SRDF, "part.obj": OBJ, "part.stl": STL, "part.ply": PLY, "scan.ply": PLY_CLOUD, "path.csv": PATH,
     "motion.csv": MOTION, "trajectory.yaml": TRAJECTORY, "keys.xml": KEY_FRAMES, "weld.mod": RAPID,
+    "weld.src": KRL, "weld.ls": LS, "part.apt": APT,
     "weld.script": URSCRIPT, "weld.jbi": INFORM, "poses.txt": POSES, "joint_limits.yaml": JOINT_LIMITS, "job.yaml": JOB,
 }  # fmt: skip
 SIDE_FILES = {"box.stl": STL}
@@ -344,6 +402,30 @@ HARMLESS = {
         r"^SetDO.*$": "an instruction that does not move, which a note names",
         r"(?<=PROC )\w+(?=\(\))|(?<=MODULE )\w+$": "names",
         r"^CONST.*\n": "a constant may stand anywhere before its use",
+    },
+    "KRL": {
+        r"^&.*$": "a header line, which the editor uses",
+        r"^\$(?:VEL_AXIS|OUT).*$|^BAS.*$": "a statement that does not move, which a note names",
+        r"(?<=DEF )\w+(?=\()": "a name",
+        r"^DECL.*\n": "a declaration without a value",
+        r"(?<=CPTP=)\d+": "a number, which may also be shorter",
+    },
+    "LS": {
+        r"^/ATTR\n|(?<=/PROG ).*": "names and attributes",
+        r"^ *\d+(?=:)": "the number of a line",
+        r"^.*DO\[.*$": "an instruction that does not move, which a note names",
+        r"^ UF.*$": "frame and tool, which joint positions do not depend on",
+        r"(?<=J P\[1\] )\d+%": "the speed to the first position",
+        r"(?<=CNT)\d+": "a number without a published distance",
+    },
+    "APT": {
+        r"^PARTNO.*$|^FINI$": "a text, and the end",
+        r"^COOLNT.*$": "a record that does not move, which a note names",
+        r"^FROM.*\n": "a position that a rapid leaves",
+        r"(?<=[/,])[\d.]+": "a number, which may also be shorter",
+        r"(?<=\$).*$": "what follows the sign of continuation",
+        r"^FEDRAT.*\n": "a feed may be stated anywhere before its move; tests/test_apt.py reads feeds",
+        r"^((?:UNITS|RAPID).*\n)\1+": "what holds until it changes may be repeated",
     },
     "URScript": {
         r"(?<=^movej\(home, )[\d., ]*(?=\)$)": "an acceleration and a velocity",

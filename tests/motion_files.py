@@ -18,7 +18,7 @@ from htcp_jax.trajectory.formats.writers import program_text
 STEP_S = 0.002
 ENDINGS = {
     "csv": "csv", "ros": "yaml", "ros-json": "json", "jbi-pulses": "jbi", "rapid": "mod", "urscript": "script",
-    "keyframes": "xml",
+    "keyframes": "xml", "krl": "src", "ls": "ls",
 }  # fmt: skip
 NAMES = ["weld", "A1", "seam_2", "w"]  # of programs
 # A rail, six hinges, and a hinge of a positioner at the end of the chain.
@@ -107,7 +107,7 @@ def with_followers(robot: Robot, timed: TimedMotion) -> TimedMotion:
 
 def write(folder: Path, format: str, timed: TimedMotion, given: ControllerData) -> Path:
     """The file of a motion."""
-    name = given.name.upper() if format.startswith("jbi") else given.name
+    name = given.name.upper() if format.startswith("jbi") or format == "ls" else given.name
     file = folder / f"{name}.{ENDINGS[format]}"
     slides = given.slides[: len(timed.joint_names)]
     file.write_bytes(program_text(format, timed, given._replace(name=name, slides=slides)).encode())

@@ -1,6 +1,7 @@
 """Motions read back from files of this package, and the interpolation between their configurations."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -97,18 +98,27 @@ def test_the_motion_in_a_plans_folder_reads_back_exactly_with_its_kinds_and_no_t
         assert found.kind == tuple(Kind(kind).name for kind in timed.kind)
 
 
-@pytest.mark.parametrize("format", ["csv", "ros", "rapid", "urscript", "jbi-pulses", "keyframes"])
+@pytest.mark.parametrize("format", ["csv", "ros", "rapid", "krl", "ls", "urscript", "jbi-pulses", "keyframes"])
 def test_each_configuration_has_its_line_in_the_file(format, tmp_path):
     timed, own = random_motion(hinged(), 3), controller(hinged())
     file = write(tmp_path, format, timed, own)
     lines = file.read_text().splitlines()
     found = [lines[k - 1] for k in read_motion(file, hinged(), own).line.tolist()]
-    begin = {"ros": "- positions", "rapid": "MoveAbsJ", "jbi-pulses": "MOVJ", "keyframes": "<key"}.get(format)
+    begin = {
+        "ros": "- positions",
+        "rapid": "MoveAbsJ",
+        "krl": "PTP",
+        "ls": "J",
+        "jbi-pulses": "MOVJ",
+        "keyframes": "<key",
+    }.get(format)
     for line, x, time_s in zip(found, timed.x, timed.time_s, strict=True):
         if format == "csv":
             assert line.startswith(f"{time_s},")
         elif format == "urscript":
             assert f"[{x[0]:.6f}" in line.replace("-0.000000", "0.000000")
+        elif format == "ls":
+            assert re.match(r" *\d+:J P", line)
         else:
             assert line.strip().startswith(begin)
 
@@ -158,6 +168,8 @@ def test_polynomials_are_the_splines_through_the_states(interpolation, derivativ
         ("keyframes", "linear", ["linear", "cubic"]),
         ("jbi-pulses", "linear", ["linear"]),
         ("rapid", "linear", ["linear"]),
+        ("krl", "linear", ["linear"]),
+        ("ls", "linear", ["linear"]),
         ("urscript", "linear", ["linear"]),
     ],
 )
@@ -191,7 +203,9 @@ def test_unknown_choices_are_refused_with_the_valid_ones(tmp_path):
         assert str(caught.value) == message
 
 
-@pytest.mark.parametrize("format", ["csv", "ros", "ros-json", "jbi-pulses", "rapid", "urscript", "keyframes"])
+@pytest.mark.parametrize(
+    "format", ["csv", "ros", "ros-json", "jbi-pulses", "rapid", "krl", "ls", "urscript", "keyframes"]
+)
 def test_a_format_is_found_by_content_if_the_ending_says_nothing(format, tmp_path):
     timed, own = random_motion(hinged(), 4), controller(hinged())
     file = write(tmp_path, format, timed, own).rename(tmp_path / "program.txt")

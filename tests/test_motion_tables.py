@@ -442,10 +442,12 @@ def test_damaged_key_frames_are_refused_with_their_line(text, message, tmp_path)
 PARTS = {  # of the file with the motion: what it begins with, and what follows it
     "csv": ("time_s,", ""), "ros": ("points:", ""), "ros-json": ('"points"', ""), "jbi-pulses": ("C00000", "//INST"),
     "rapid": ("MoveAbsJ", "ENDPROC"), "urscript": ("movej", "stopj"), "keyframes": ("<keyframe>", ""),
+    "krl": ("PTP {", "END"), "ls": ("J P[1]", "/END"),
 }  # fmt: skip
 UNREAD = {  # speeds, tools, gains and targets, by the text of the line up to the digit
     "csv": r"[^,]*,[A-Z]+,\d*", "rapid": r".*(,v\d*|,tool\d*)", "urscript": r".*\](,[^,]*){1,2}|.*\](,[^,]*){4,5}",
-    "keyframes": r'.*name="\d*',
+    "ls": r" *\d*|.*:J P\[1\] \d*|.*CNT\d*|.*U[FT] : \d*|.*GP\d*",
+    "keyframes": r'.*name="\d*', "krl": r"\$(?:RED_VEL|VEL_AXIS).*",
 }  # fmt: skip
 
 

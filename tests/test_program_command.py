@@ -14,9 +14,11 @@ from made_plan import made_plan
 
 import htcp_jax
 from htcp_jax.cli import main
+from htcp_jax.io.motions import controller_of, read_motion
 from htcp_jax.io.robots import read_joint_limits
 from htcp_jax.io.robots.loading import gp50
 from htcp_jax.model.kinematics import tcp_pose
+from htcp_jax.proving import prove_with_exact_corners
 from htcp_jax.runs import open_plans
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.status import Kind
@@ -329,6 +331,55 @@ def test_a_job_of_pulses_passes_the_configurations_of_the_motion_on_record(plans
     passed = np.concatenate([known.start[:1], known.x[0]])
     nearest = np.abs(x[:, None] - passed).max(axis=2).min(axis=1)
     assert len(x) >= 13 and nearest.max() <= 0.5 / 3e4
+
+
+PROCESS = ["--set", "program.process={on: {5: true}, off: {5: false}}"]
+
+
+@pytest.mark.parametrize(
+    ("format", "output", "move"),
+    [
+        ("krl", "$OUT[5]=TRUE $OUT[5]=FALSE", "PTP"),
+        ("ls", "DO[5]=ON DO[5]=OFF", "J P["),
+        ("rapid", "SetDO do5,1; SetDO do5,0;", "MoveAbsJ"),
+        ("jbi-pulses", "DOUT OT#(5) ON DOUT OT#(5) OFF", "MOVJ"),
+    ],
+)
+def test_a_program_with_outputs_is_proven_and_reads_back_to_the_motion(plans, here, capsys, format, output, move):
+    assert run(plans, "--format", format, *PROCESS, "--set", PULSES, "--out", "weld.out", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["proof"]["verdict"] == "proven"
+    made = program_of(open_plans(plans / "good"), 0.02, overrides=[PULSES])
+    own = made.program.at_configurations()
+    found = read_motion(here / "weld.out", made.robot, controller_of(made.job, made.robot), format=format)
+    assert np.abs(found.x - own.x).max() < 2e-5
+    lines = [line.strip() for line in (here / "weld.out").read_text().splitlines()]
+    on, off = (next(k for k, line in enumerate(lines) if each in line) for each in _halves(output))
+    moves = [k for k, line in enumerate(lines) if re.sub(r"^\d+:", "", line).startswith(move)]
+    process = np.flatnonzero(own.kind == Kind.PROCESS)
+    assert [sum(k < at for k in moves) for at in (on, off)] == [process[0], process[-1] + 1]
+
+
+def _halves(text: str) -> tuple[str, str]:
+    words = text.split()
+    return " ".join(words[: len(words) // 2]), " ".join(words[len(words) // 2 :])
+
+
+def test_formats_without_outputs_refuse_them_in_one_line(plans, here, capsys):
+    for format in ("csv", "ros", "ros-json", "keyframes"):
+        assert run(plans, "--format", format, *PROCESS, "--out", "weld.out") == 2
+        line = capsys.readouterr().err
+        assert f"{format} has no outputs, which program.process sets; omit the key, or use jbi, jbi-pulses" in line
+        assert line.count("\n") == 1 and not list(here.glob("weld*"))
+
+
+def test_rounded_corners_that_leave_less_than_half_of_the_margin_become_exact(plans):
+    made = program_of(open_plans(plans / "good"), 0.02)
+    strict = made._replace(job=made.job.model_copy(update={"margin_m": 0.1}))
+    (usual,), _ = prove_with_exact_corners(made, "ls", "WELD", made.in_file("ls"))
+    (file,), found = prove_with_exact_corners(strict, "ls", "WELD", strict.in_file("ls"))
+    rounded = np.flatnonzero((found.motion.corner_share > 0).any(axis=1))
+    assert found.proof.proven and file.text.count("CNT") < usual.text.count("CNT")
+    assert (found.proof.clearance_m[rounded - 1] >= 0.05).all()
 
 
 def test_a_rapid_program_writes_the_jobs_coupled_axis_as_a_sum_and_the_tcp_of_its_arm(plans, here):

@@ -19,7 +19,14 @@ from htcp_jax.io.motions import EncoderScale
 from htcp_jax.spec import GP50
 from htcp_jax.status import Kind
 from htcp_jax.trajectory import FORMATS, TimedMotion
-from htcp_jax.trajectory.controller_data import ControllerData, JointGroups, PlannedTcp, UserFrame
+from htcp_jax.trajectory.controller_data import (
+    ControllerData,
+    JointGroups,
+    PlannedTcp,
+    ProcessOutputs,
+    SeamSpan,
+    UserFrame,
+)
 from htcp_jax.trajectory.formats.writers import program_text
 
 STEP_S = 0.002
@@ -346,20 +353,50 @@ def whole(timed: TimedMotion) -> ControllerData:
 @pytest.mark.parametrize("format", FORMATS)
 def test_every_file_says_what_it_does_not_hold(format):
     text = program_text(format, a_motion(), whole(a_motion()))
-    said = re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+    said = re.sub(r"\s+", " ", re.sub(r"( ;)?\r\n *(\d+: +!|[';])", " ", text))
     for what in ("tool data", "frames", "signals", "safety", "not proven clear"):
         assert what in said, what
 
 
-@pytest.mark.parametrize("format", ["jbi-pulses", "rapid", "urscript"])
+@pytest.mark.parametrize("format", ["jbi-pulses", "rapid", "krl", "ls", "urscript"])
 def test_joint_values_for_a_controller_come_with_the_advice_to_check_its_axes(format):
     text = program_text(format, a_motion(), whole(a_motion()))
-    assert "check signs, zeros and coupled axes (parallel linkages)" in re.sub(r"\s+", " ", text.replace("\r\n'", " "))
+    assert "check signs, zeros and coupled axes (parallel linkages)" in re.sub(
+        r"\s+", " ", re.sub(r"( ;)?\r\n *(\d+: +!|[';])", " ", text)
+    )
 
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_file_depends_on_its_motion_alone(format):
     assert program_text(format, a_motion(), whole(a_motion())) == program_text(format, a_motion(), whole(a_motion()))
+
+
+SEAMS = (SeamSpan("rib", 0, 1), SeamSpan("boss", 2, 2))
+OUTPUTS = ProcessOutputs(on=((5, True), (6, False)), off=((5, False),))
+
+
+@pytest.mark.parametrize(
+    ("format", "words"),
+    [
+        ("jbi", ("DOUT OT#(5) ON", "DOUT OT#(6) OFF", "DOUT OT#(5) OFF")),
+        ("jbi-pulses", ("DOUT OT#(5) ON", "DOUT OT#(6) OFF", "DOUT OT#(5) OFF")),
+        ("rapid", ("SetDO do5,1;", "SetDO do6,0;", "SetDO do5,0;")),
+        ("krl", ("$OUT[5]=TRUE", "$OUT[6]=FALSE", "$OUT[5]=FALSE")),
+        ("ls", ("DO[5]=ON", "DO[6]=OFF", "DO[5]=OFF")),
+        ("urscript", tuple(f"set_standard_digital_out({k}, {v})" for k, v in ((5, True), (6, False), (5, False)))),
+    ],
+)
+def test_outputs_are_set_after_the_moves_to_both_ends_of_a_seam(format, words):
+    """A seam of one point sets both."""
+    text = program_text(format, a_motion(), whole(a_motion())._replace(seams=SEAMS, process=OUTPUTS))
+    lines = [re.sub(r"^ *\d+: *| ;$", "", line).strip() for line in text.splitlines()]
+    moves = ("MOVJ", "MOVL", "MoveAbsJ", "PTP", "J P", "movej", "servoj")
+    short = ["move" if line.startswith(moves) else line for line in lines if line.startswith((*moves, *words))]
+    on, off = list(words[:2]), [words[2]]
+    assert short == ["move", *on, "move", *off, "move", *on, *off]
+    assert "other signals than those of program.process" in re.sub(
+        r"\s+", " ", re.sub(r"( ;)?\r\n *(\d+: +!|[';])", " ", text)
+    )
 
 
 NO_CONFIGURATION = TimedMotion(*(column[:0] for column in a_motion()[:6]), a_motion().joint_names)
@@ -375,7 +412,7 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
 @pytest.mark.parametrize(
     ("format", "timed", "given", "said"),
     [
-        ("krl", a_motion(), {}, "'krl' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses"),
+        ("gcode", a_motion(), {}, "'gcode' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses"),
         ("csv", NO_CONFIGURATION, {}, "the motion has no configurations"),
         ("csv", STILL, {}, "the time of configuration 2 is not later"),
         ("jbi", a_motion(), {"user_frame": None}, "set program.user_frame"),
@@ -406,6 +443,34 @@ MANY = MANY._replace(time_s=np.arange(12000.0))
             "name 'torch' is a word of the language, or used",
         ),
         ("rapid", a_motion(), {"tool_name": "Pers"}, "program.tool_name 'Pers' is a word of the language"),
+        ("krl", a_motion(7), {}, "a robot of 7 joints; E6AXIS has 6; set program.groups for external axes"),
+        ("krl", a_motion(), {"slides": (True, *[False] * 5)}, "j0 is a slide joint; put it into program.groups.base"),
+        ("krl", a_motion(13), {"groups": JointGroups(GROUPS.robot, (0, 1, 8), (9, 10, 11, 12))}, "7 external axes"),
+        ("krl", a_motion(), {"name": "2 welds"}, "procedure name '2 welds' is not valid"),
+        ("krl", a_motion(), {"name": "EndFor"}, "name 'EndFor' is a word of the language"),
+        ("krl", a_motion(), {"speed": None}, "krl: the full joint speeds are missing; set program.velocity"),
+        ("krl", a_motion(), {"speed": np.full(6, 0.1)}, "j0 at 200.0 % of its full speed"),
+        *(
+            (format, a_motion(), {"seams": SEAMS, "process": ProcessOutputs((("gun", True),))}, said)
+            for format, said in (
+                ("krl", "krl: program.process names the output 'gun'; valid: its number"),
+                ("ls", "ls: program.process names the output 'gun'; valid: its number"),
+                ("jbi-pulses", "jbi-pulses: program.process names the output 'gun'"),
+                ("urscript", "urscript: program.process names the output 'gun'"),
+            )
+        ),
+        (
+            "urscript",
+            a_motion(),
+            {"seams": SEAMS, "process": ProcessOutputs(((9, True),))},
+            "urscript: output 9; the standard digital outputs are 0 to 7",
+        ),
+        (
+            "rapid",
+            a_motion(),
+            {"seams": SEAMS, "process": ProcessOutputs((("2 guns", True),))},
+            "rapid: output '2 guns' is not valid",
+        ),
         *(("urscript", a_motion(), {"name": word}, f"name {word!r} is a word of the language") for word in URSCRIPT),
         ("jbi-pulses", MANY, {}, "but a job has at most 9,999; use a path with fewer points"),
         ("urscript", a_motion(7), {}, "an arm of 7 joints, 0 of which slide"),

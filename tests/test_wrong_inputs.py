@@ -365,8 +365,8 @@ COMMANDS = [
         {"far.xml": ARM.replace('pos="1 0 0"', 'pos="1e308 0 0"')},
     ),
     Wrong(
-        ["program", "nowhere", "--feed", "20mm/s", "--out", "a.src", "--format", "krl"],
-        "'krl' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid, urscript, keyframes",
+        ["program", "nowhere", "--feed", "20mm/s", "--out", "a.out", "--format", "gcode"],
+        "'gcode' is not a program format; valid: csv, ros, ros-json, jbi, jbi-pulses, rapid, krl, ls, urscript, key",
     ),
     Wrong(["program", LONG, "--feed", "20mm/s", "--out", "a.csv"], "File name too long"),
     Wrong(["gate", "run"], "--baseline"),

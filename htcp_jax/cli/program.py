@@ -29,7 +29,7 @@ from htcp_jax.cli.timing import print_timing, refuse_untimed, timed, timing_reco
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import build
-from htcp_jax.proving import ProgramProof, prove_program
+from htcp_jax.proving import ProgramProof, prove_with_exact_corners
 from htcp_jax.report import Table
 from htcp_jax.runs import columns, open_plans, open_run, plan_folder, timing_file
 from htcp_jax.spec import PlanConfig
@@ -175,9 +175,9 @@ def program(
     _print_note(in_file)
     file, is_chosen = made.in_file(format, step_s, max_points), step_ms is not None or max_points is not None
     deviation = deviations(made.robot, made.program, file)
-    files = made.files(format, out.stem, file)
+    made.files(format, out.stem, file)  # what the format cannot contain is refused first
     check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
-    proof = prove_program(made, format, files)
+    files, proof = prove_with_exact_corners(made, format, out.stem, file)
     if proof.is_refuted:
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.seam_keys import with_keys_of_only_seam
-from htcp_jax.jobs.seam_paths import with_seams_of_files
+from htcp_jax.jobs.seam_paths import feeds_of_files, with_seams_of_files
 from htcp_jax.model import Robot
 from htcp_jax.spec import PlanConfig
 
@@ -28,10 +28,19 @@ def resolve(job: PlanConfig, robot: Robot, source: str = "the configuration") ->
 def with_seams(job: PlanConfig) -> PlanConfig:
     """Return the job with one entry in `workpiece.seams` for each seam in its files, see `with_seams_of_files`.
 
-    If there is only one seam, its own task, margin and feed become the job's.
+    Feeds in these files apply if neither the job nor the seam states one. If there is only one seam, its own task,
+    margin and feed become the job's.
     """
     part = with_seams_of_files(job.workpiece)
-    return with_keys_of_only_seam(job if part is job.workpiece else job.model_copy(update={"workpiece": part}))
+    job = job if part is job.workpiece else job.model_copy(update={"workpiece": part})
+    feeds = [] if job.program.feed is not None else feeds_of_files(part)
+    if part.seams and any(feeds):
+        pairs = zip(part.seams, feeds, strict=True)
+        seams = tuple(seam.model_copy(update={"feed": feed}) if seam.feed is None else seam for seam, feed in pairs)
+        job = job.model_copy(update={"workpiece": part.model_copy(update={"seams": seams})})
+    elif any(feeds):
+        job = job.model_copy(update={"program": job.program.model_copy(update={"feed": feeds[0]})})
+    return with_keys_of_only_seam(job)
 
 
 def check_start(job: PlanConfig, robot: Robot, source: str) -> None:

@@ -49,7 +49,9 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
         found = read(part.path).seams if is_file(part, part.path) else ()
         if len(found) < 2:
             return part
-        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count)) for each in found]
+        # a CAM system's contours have a direction
+        way = {"direction": "forward"} if parts.has_feeds(Path(part.path)) else {}
+        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count), **way) for each in found]
         check_seams(seams)
         return part.model_copy(update={"path": SEVERAL, "seams": tuple(seams)})
     split = {seam.name: _split(seam, _points_of(seam, read)) for seam in part.seams}
@@ -61,6 +63,31 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
     ]
     check_seams(seams)
     return part.model_copy(update={"seams": tuple(seams)})
+
+
+def feeds_of_files(part: WorkpieceConfig) -> list[str | None]:
+    """Return the feed that the path's file states for each seam, with its unit; None where it states none.
+
+    Args:
+        part: The section `workpiece`, see `with_seams_of_files`.
+
+    Returns:
+        One feed for each of the seams; for a job with a path in place of seams, that of the path.
+
+    Raises:
+        InputError: If a file cannot be read.
+    """
+    read, found = _reader(part), list[str | None]()
+    for path, rows in [(seam.path, seam.rows) for seam in part.seams] or [(part.path, None)]:
+        feed = None
+        if is_file(part, path) and parts.has_feeds(Path(path)):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                points = read(path)
+            last = sum(each.first <= (rows or (0, 0))[0] for each in points.seams) - 1
+            feed = points.feeds_m_s[last]
+        found.append(None if feed is None else f"{1e3 * feed:.9g}mm/s")
+    return found
 
 
 def points_of_seams(part: WorkpieceConfig) -> SeamPoints:

@@ -1,7 +1,7 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
-from .program_proof import ProgramProof, prove_program
+from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
 from .scene import ProofScene, scene_of
 from .worst import Contact, deepest_contact, deepest_contacts
@@ -23,6 +23,7 @@ __all__ = [
     "prove_curves",
     "prove_file",
     "prove_program",
+    "prove_with_exact_corners",
     "scene_of",
     "straight",
 ]

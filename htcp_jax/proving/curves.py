@@ -81,6 +81,30 @@ def corners(
     for shares, ends, others in ((before, slice(1, None), slice(None, -1)), (after, slice(None, -1), slice(1, None))):
         here = np.flatnonzero(rounded[ends])
         shares[here] = _shares(x[ends][here], x[others][here], radius_m[ends][here], tcp_of)
+    return _with_corners(x, rounded, before, after)
+
+
+def corners_in_shares(x: Float[np.ndarray, "n N"], shares: Float[np.ndarray, "n 2"]) -> JointCurves:
+    """Return straight joint paths between configurations, and all paths inside corners that are rounded in the joints.
+
+    Args:
+        x: The configurations [rad or m].
+        shares: Shares of the leg before and of the leg after each configuration in which its corner is rounded [1], at
+            most 0.5; 0, and at both ends: none.
+    """
+    rounded = np.zeros(len(x), bool)
+    rounded[1:-1] = (shares[1:-1] > 0).any(axis=1)
+    kept = np.where(rounded[:, None], shares, 0.0)
+    return _with_corners(x, rounded, kept[1:, 0], kept[:-1, 1])
+
+
+def _with_corners(
+    x: Float[np.ndarray, "n N"],
+    rounded: Bool[np.ndarray, "n"],
+    before: Float[np.ndarray, "m"],
+    after: Float[np.ndarray, "m"],
+) -> JointCurves:
+    """Return the paths of m legs whose corners are rounded in shares at their end (`before`) and at their begin."""
     a, b = x[:-1] + after[:, None] * np.diff(x, axis=0), x[1:] - before[:, None] * np.diff(x, axis=0)
     legs = straight(x)._replace(coefficients=np.stack([a, b - a], axis=1), span=np.stack([after, 1 - before], axis=1))
     inside = [_inside(k - 1, b[k - 1], x[k], a[k], before[k - 1]) for k in np.flatnonzero(rounded)]

@@ -21,7 +21,7 @@ from htcp_jax.io.motions import MotionFile, controller_of, read_motion
 from htcp_jax.io.motions import polynomials as polynomials_of
 from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
-from htcp_jax.proving.curves import JointCurves, corners, polynomials
+from htcp_jax.proving.curves import JointCurves, corners, corners_in_shares, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import (
     PathDeviation,
@@ -211,6 +211,8 @@ def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
         problem: The problem, see `scene_of`.
         motion: The motion; its configurations are joint values, not poses.
     """
+    if motion.corner_share is not None:
+        return corners_in_shares(motion.x, motion.corner_share)
     if motion.corner_m is not None and (motion.corner_m > 0).any():
         return corners(motion.x, motion.corner_m, lambda x: tcp_positions(problem, x))
     return polynomials(polynomials_of(motion))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
@@ -15,7 +16,10 @@ from htcp_jax.proving.scene import scene_of
 from htcp_jax.proving.worst import Contact, deepest_contact
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import output_files, temporary_folder
-from htcp_jax.trajectory import PlanProgram, ProgramFile
+from htcp_jax.trajectory import FileMotion, PlanProgram, ProgramFile
+
+ROUNDS = 4  # maximum number of times that corners are made exact
+SHARE = 0.5  # share of the job's margin that a rounded corner must leave
 
 
 class ProgramProof(NamedTuple):
@@ -71,6 +75,46 @@ def prove_program(
     return ProgramProof(motion, proof, contact, time.perf_counter() - began)
 
 
+def prove_with_exact_corners(
+    made: PlanProgram, format: str, name: str, file: FileMotion, device: str | None = None
+) -> tuple[list[ProgramFile], ProgramProof]:
+    """Return a program's files and their proof; corners that need it are exact instead of rounded.
+
+    These are corners that cannot be proven, and those with a guaranteed clearance of less than half of the job's
+    margin. Only formats that round corners in shares of their legs (krl, ls) can be changed in this way.
+
+    Args:
+        made: The program.
+        format: Name of the format in `trajectory.FORMATS`.
+        name: Name of the program.
+        file: The configurations, see `PlanProgram.in_file`.
+        device: The device; None: a GPU if there is one.
+
+    Raises:
+        InputError: If `PlanProgram.files` or `prove_program` raises it.
+    """
+    files = made.files(format, name, file)
+    found = prove_program(made, format, files, device)
+    for _ in range(ROUNDS):
+        if not len(corners := _corners_to_make_exact(made, found)):
+            break
+        blended = np.ones(len(file.timed.x)) if file.timed.blended is None else file.timed.blended.copy()
+        blended[corners] = 0.0
+        file = file._replace(timed=file.timed._replace(blended=blended))
+        files = made.files(format, name, file)
+        found = prove_program(made, format, files, device)
+    return files, found
+
+
+def _corners_to_make_exact(made: PlanProgram, found: ProgramProof) -> Int[np.ndarray, "k"]:
+    """Return the rows of rounded corners that cannot be proven, or only with less than half of the job's margin."""
+    if found.proof is None or found.is_refuted or found.motion.corner_share is None:
+        return np.zeros(0, int)
+    narrow = found.proof.clearance_m < SHARE * made.job.segment_margin_m
+    corners = np.flatnonzero((found.proof.cause == UndecidedCause.CORNER) | narrow) + 1
+    return corners[(found.motion.corner_share[corners] > 0).any(axis=1)]
+
+
 def read_back(made: PlanProgram, format: str, files: Sequence[ProgramFile]) -> MotionFile:
     """Return the motion that the readers of programs find in a program's files.
 
@@ -105,5 +149,5 @@ def joined(parts: Sequence[MotionFile]) -> MotionFile:
         found = [getattr(each, name) for each in parts]
         return None if any(each is None for each in found) else np.concatenate(found)
 
-    names = ("x", "velocity", "acceleration", "corner_m", "line", "poses")
+    names = ("x", "velocity", "acceleration", "corner_m", "line", "poses", "corner_share")
     return first._replace(**{name: stacked(name) for name in names}, time_s=None, kind=None)

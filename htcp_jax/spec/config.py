@@ -39,6 +39,7 @@ from htcp_jax.spec.defaults import own_defaults
 from htcp_jax.spec.feed import Feed
 from htcp_jax.spec.given_kinds import Row, kind_validator, needs_kind, record_of
 from htcp_jax.spec.model_source import WORLD
+from htcp_jax.spec.process_config import ProcessConfig
 from htcp_jax.spec.registry import NAME
 from htcp_jax.spec.seam_list import SeamConfig, check_seams
 from htcp_jax.spec.tool import Tool
@@ -392,6 +393,9 @@ class ProgramConfig(strict_model.FileSection):
     user_frame: UserFrameConfig | None = None
     pulses: PulsesConfig | None = None
     groups: JointGroupsConfig | None = None  # for formats with external axes; None: all joints are in the robot's group
+    process: ProcessConfig | None = None  # outputs at both ends of each seam; None: none
+    # for ls: where the model counts joint 3 of a FANUC arm from; the controller counts from the horizontal
+    j3_from: Literal["upper_arm", "horizontal"] = "upper_arm"
     control_step_s: float = Field(0.002, ge=1e-4, le=0.1)  # time step of the controller
 
 

@@ -29,6 +29,21 @@ class PlannedTcp(NamedTuple):
     T_frame_tcp: Float[np.ndarray, "4 4"]  # [m]
 
 
+class SeamSpan(NamedTuple):
+    """Rows of a file between which the tool follows a seam."""
+
+    name: str
+    first: int  # row of the seam's first point
+    last: int  # row of its last point; `first` for a seam of one point
+
+
+class ProcessOutputs(NamedTuple):
+    """Digital outputs, by number or name, and the values to which a program sets them."""
+
+    on: tuple[tuple[int | str, bool], ...] = ()  # at the first point of each seam
+    off: tuple[tuple[int | str, bool], ...] = ()  # at the last point of each seam
+
+
 class ControllerData(NamedTuple):
     """Controller data of a job; a format raises InputError if an entry that it needs is missing."""
 
@@ -47,7 +62,24 @@ class ControllerData(NamedTuple):
     # index of each joint of the model file, counted over the motion's joints and then `locked`; None: same order
     in_file: tuple[int, ...] | None = None
     locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
-    seams: tuple[str, ...] = ()  # name of each target's seam; empty for a job of one seam
+    seams: tuple[SeamSpan, ...] = ()  # seams in the file, in order
+    process: ProcessOutputs = ProcessOutputs()
+    j3_from: str = "upper_arm"  # where joint 3 of a FANUC arm is counted from: "upper_arm" or "horizontal"
+
+    def outputs_after(self, row: int) -> list[tuple[int | str, bool]]:
+        """Return the outputs that are set at a row of the file, in order."""
+        ends = [seam for seam in self.seams if seam.last == row] if self.process.off else []
+        begins = [seam for seam in self.seams if seam.first == row] if self.process.on else []
+        points = [seam for seam in begins if seam in ends]
+        before = [output for seam in ends if seam not in points for output in self.process.off]
+        return [*before, *(output for _ in begins for output in self.process.on),
+                *(output for _ in points for output in self.process.off)]  # fmt: skip
+
+    @property
+    def rows_with_outputs(self) -> frozenset[int]:
+        """Rows of the file at which outputs are set."""
+        begins = {seam.first for seam in self.seams} if self.process.on else set()
+        return frozenset(begins | ({seam.last for seam in self.seams} if self.process.off else set()))
 
     @property
     def joint_groups(self) -> JointGroups:
@@ -62,18 +94,20 @@ CHECK_AXES = (
 )
 
 
-def header(timed: TimedMotion, *more: str) -> list[str]:
+def header(timed: TimedMotion, *more: str, outputs: bool = False) -> list[str]:
     """Return the lines of a file's header, one sentence per line.
 
     Args:
         timed: Samples in the file.
         more: The format's own sentences.
+        outputs: True if the file sets the outputs of `program.process`.
     """
+    signals = "other signals than those of program.process" if outputs else "signals (process on and off, gas, gripper)"
     duration_s = timed.time_s[-1] - timed.time_s[0]
     return [
         f"{len(timed.x)} configurations of {len(timed.joint_names)} joints, {duration_s:.3f} s.",
         "Not in this file: tool data (TCP, mass, centre of gravity), frames (where base, user frame and part are), "
-        "signals (process on and off, gas, gripper), safety (limits, zones, stops, what to do on contact).",
+        f"{signals}, safety (limits, zones, stops, what to do on contact).",
         "The motion to the first configuration, and any other path or timing than this one, is not proven clear.",
         *more,
     ]

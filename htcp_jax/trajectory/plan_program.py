@@ -28,6 +28,7 @@ from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
+from htcp_jax.trajectory.exact_corners import with_exact_corners
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
@@ -36,6 +37,7 @@ from htcp_jax.trajectory.limits import MotionLimits, joint_limits
 from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.near_part import near_part_speeds
 from htcp_jax.trajectory.program import Program, time_motion
+from htcp_jax.trajectory.seam_spans import process_outputs, seam_spans
 from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -56,7 +58,7 @@ class PlanProgram(NamedTuple):
     method: str
     x: Float[np.ndarray, "T N"]  # configurations at the targets [rad or m]
     goals: Float[np.ndarray, "T G"]  # the task's goals at the targets [m]
-    seams: tuple[str, ...] = ()  # name of each target's seam; empty for a job of one seam
+    seam_begins: tuple[int, ...] = ()  # first targets of the second and of each later seam
     seam_feeds: Mapping[str, float] = MappingProxyType({})  # by the seam's name [m/s]; empty: one feed
 
     @property
@@ -92,6 +94,8 @@ class PlanProgram(NamedTuple):
             InputError: If `program_files` or `controller` raises it.
         """
         timed = self._with_axes(format, file.timed)
+        if format_of(format).whole_corners:
+            timed = with_exact_corners(self.robot, timed, self.job.settings.tube_m)
         return program_files(format, timed, self.controller(format, name, timed))
 
     def timed(self, format: str, step_s: float | None = None, max_points: int | None = None) -> TimedMotion:
@@ -169,7 +173,7 @@ class PlanProgram(NamedTuple):
             joints_in_file(source, timed.joint_names, dict(self.job.robot.locked)) if format == "keyframes" else None
         )
         return ControllerData(
-            name.upper() if format.startswith("jbi") else name,
+            name.upper() if format.startswith("jbi") or format == "ls" else name,
             (*self.robot.sliding, *(self.robot.slides[j] for j in followers))[: len(timed.joint_names)],
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
@@ -182,7 +186,9 @@ class PlanProgram(NamedTuple):
             control_step_s=requested.control_step_s,
             in_file=in_file and in_file.order,
             locked=in_file.locked if in_file else dict(self.job.robot.locked),
-            seams=self.seams,
+            seams=seam_spans(self.job, timed, self.seam_begins),
+            process=process_outputs(self.job, format),
+            j3_from=requested.j3_from,
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:
@@ -203,7 +209,7 @@ class PlanProgram(NamedTuple):
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
         requested = self.job.program.coupled
-        if requested and format in ("urscript", "jbi-pulses"):
+        if requested and format in ("urscript", "jbi-pulses", "krl", "ls"):
             raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
         found = coupled_axes(self.job, self.robot)
         for axis, joint in requested:
@@ -327,9 +333,8 @@ def timed_plan(
     number = np.searchsorted(plans.seam_begins, np.arange(plans.status.shape[1]), "right")
     feed = np.array(by_seam)[number] if by_seam else feed_m_s
     made = time_motion(robot, whole, left, limits, feed, near_part_speeds(job))
-    names = [seam.name for seam in job.workpiece.seams]
-    seams = tuple(names[k] for k in number.tolist()) if plans.seam_begins else ()
-    return PlanProgram(made, robot, job, limits, method, *at, seams, dict(zip(names, by_seam, strict=False)))
+    feeds = dict(zip((seam.name for seam in job.workpiece.seams), by_seam, strict=False))
+    return PlanProgram(made, robot, job, limits, method, *at, plans.seam_begins, feeds)
 
 
 def requested_feed(text: str | None, job: PlanConfig) -> float:

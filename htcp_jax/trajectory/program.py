@@ -19,7 +19,7 @@ from htcp_jax.io.robots import RATES
 from htcp_jax.model import Robot
 from htcp_jax.motion import Motion
 from htcp_jax.trajectory.blends import MotionSlack, blends
-from htcp_jax.trajectory.curve import Blend
+from htcp_jax.trajectory.curve import Blend, Curve
 from htcp_jax.trajectory.limits import MotionLimits
 from htcp_jax.trajectory.near_part import ShareOfSpeed
 from htcp_jax.trajectory.path import path_of_blend
@@ -94,9 +94,10 @@ class Program(NamedTuple):
         """
         time, row = self.passes()
         x = np.concatenate([self.blends[0].curve.x[:1], *(each.curve.x[1:] for each in self.blends)])
-        return self.at(time)._replace(
-            x=x, kind=self.motion.kind[row], target=self.motion.target[row], span=self._span(row)
-        )
+        shares = [_blended(each.curve) for each in self.blends]
+        blended = np.concatenate([shares[0][:1], *(each[1:] for each in shares)])
+        own = {"kind": self.motion.kind[row], "target": self.motion.target[row], "span": self._span(row)}
+        return self.at(time)._replace(x=x, blended=blended, **own)
 
     def passes(self) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
         """Return the times at which the program passes the motion's configurations [s], and their rows in it."""
@@ -203,6 +204,12 @@ def time_motion(
 def _feed_of(part: Blend, motion: Motion, feed_m_s: float | Float[np.ndarray, "T"]) -> float:
     """Return the required feed on a section [m/s]."""
     return float(np.asarray(feed_m_s)[motion.target[part.row[0]]]) if np.ndim(feed_m_s) else float(feed_m_s)
+
+
+def _blended(curve: Curve) -> Float[np.ndarray, "k"]:
+    """Return the share of the longer leg next to each corner in which it is blended [1]; 0 at both ends."""
+    legs = np.diff(curve.u)
+    return np.append(0.0, np.append(curve.blend_length[1:-1] / np.maximum(legs[:-1], legs[1:]), 0.0))
 
 
 def _slowest_limit(robot: Robot, motion: Motion, limits: MotionLimits) -> str:

@@ -19,3 +19,5 @@ class TimedMotion(NamedTuple):
     target: Int[np.ndarray, "n"]  # target to which the row leads
     joint_names: tuple[str, ...]
     span: Float[np.ndarray, "n 2"] | None = None  # shares of the segment [1], see `Motion`
+    # Share of the longer leg next to each configuration in which the program blends its corner; None: unknown.
+    blended: Float[np.ndarray, "n"] | None = None  # [1]

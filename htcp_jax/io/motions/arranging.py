@@ -47,7 +47,8 @@ def arranged(source: Source, rows: Rows, format: str, requested: str | None) -> 
     x, columns = _configurations(source, rows)
     rates = [None if rate is None else rate[:, columns] for rate in (rows.velocity, rows.acceleration)]
     about = rows.kind, interpolation, format, rows.notes
-    return MotionFile(x, rows.time_s, *rates, rows.corner_m, rows.line, *about, counted=rows.counted)
+    corners = {"counted": rows.counted, "corner_share": rows.corner_share}
+    return MotionFile(x, rows.time_s, *rates, rows.corner_m, rows.line, *about, **corners)
 
 
 def _interpolation(source: Source, rows: Rows, requested: str | None) -> str:

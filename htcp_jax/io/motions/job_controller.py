@@ -43,6 +43,7 @@ class JobController(NamedTuple):
     # index of each joint of the model file, over the robot's joints, its followers and `locked`; None: same order
     in_file: tuple[int, ...] | None = None
     locked: Mapping[str, float] = MappingProxyType({})  # values of joints that do not move [rad or m], by name
+    j3_from: str = "upper_arm"  # where joint 3 of a FANUC arm is counted from: "upper_arm" or "horizontal"
 
 
 def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> JobController:
@@ -63,7 +64,8 @@ def controller_of(job: PlanConfig, robot: Robot, *, of_model: bool = True) -> Jo
         every_name = [*robot.joint_names, *(robot.all_joint_names[j] for j in robot.followers)]
         found = joints_in_file(job.tree or job.robot.file, every_name, dict(locked))
         in_file, locked = found.order, found.locked
-    return JobController(coupled_axes(job, robot), encoder_scale(job, robot), joint_groups(job, robot), in_file, locked)
+    own = coupled_axes(job, robot), encoder_scale(job, robot), joint_groups(job, robot)
+    return JobController(*own, in_file, locked, job.program.j3_from)
 
 
 def encoder_scale(job: PlanConfig, robot: Robot) -> EncoderScale | None:

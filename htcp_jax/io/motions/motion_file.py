@@ -27,6 +27,9 @@ class MotionFile(NamedTuple):
     notes: tuple[str, ...]  # assumptions of the reader and what it did not use, one sentence each
     poses: Float[np.ndarray, "n 4 4"] | None = None  # the TCP's, of formats with poses only [m]; `x` has no rows then
     counted: str = "line"  # what `line` counts: "line", "point", "key" or "row"
+    # shares of the leg before and of the leg after each configuration in which its corner is rounded [1], at most half;
+    # None: the file has none
+    corner_share: Float[np.ndarray, "n 2"] | None = None
 
 
 def polynomials(motion: MotionFile) -> Float[np.ndarray, "m K N"]:

@@ -13,6 +13,8 @@ from htcp_jax.io.motions.csv_file import read_csv
 from htcp_jax.io.motions.inform_file import read_jbi, read_jbi_pulses
 from htcp_jax.io.motions.job_controller import JobController
 from htcp_jax.io.motions.keyframes_file import read_keyframes
+from htcp_jax.io.motions.krl_file import read_krl
+from htcp_jax.io.motions.ls_file import read_ls
 from htcp_jax.io.motions.motion_file import MotionFile
 from htcp_jax.io.motions.numpy_file import read_npy, read_npz
 from htcp_jax.io.motions.rapid_file import read_rapid
@@ -33,13 +35,15 @@ MOTION_FORMATS: Mapping[str, Callable[[Source], Rows]] = MappingProxyType(
         "jbi-pulses": read_jbi_pulses,
         "jbi": read_jbi,
         "rapid": read_rapid,
+        "krl": read_krl,
+        "ls": read_ls,
         "urscript": read_urscript,
     }
 )
 ENDINGS = {
     ".csv": "csv", ".tsv": "csv", ".yaml": "ros", ".yml": "ros", ".json": "ros-json", ".npy": "npy", ".npz": "npz",
     ".xml": "keyframes", ".mod": "rapid", ".modx": "rapid", ".prg": "rapid", ".script": "urscript",
-    ".urscript": "urscript",
+    ".urscript": "urscript", ".src": "krl", ".ls": "ls",
 }  # fmt: skip
 OPEN_END = {"csv", "ros", "urscript"}  # formats in which a cut file may be valid
 RADIANS = {"ros", "ros-json", "keyframes", "urscript"}  # formats whose language has angles in radians only
@@ -47,8 +51,10 @@ LINE_ENDS = b"\n", b"\r", b"\x1a"
 BEGINNING = 100_000  # part of a text in which its format is looked for [bytes]
 CONTENTS = (  # formats by their text, in this order
     ("jbi", re.compile(rb"\A\s*/JOB\b")),
+    ("ls", re.compile(rb"\A\s*/PROG\b")),
     ("keyframes", re.compile(rb"\A\s*<")),
     ("rapid", re.compile(rb"^\s*(?:MODULE|PROC)\s+\w+", re.MULTILINE | re.IGNORECASE)),
+    ("krl", re.compile(rb"^\s*(?:&ACCESS\b|(?:GLOBAL\s+)?DEF\s+\w+\s*\()", re.MULTILINE)),
     ("urscript", re.compile(rb"^\s*(?:def\s+\w+\s*\(\s*\)\s*:|(?:movej|servoj)\s*\()", re.MULTILINE)),
     ("ros-json", re.compile(rb"\A\s*[\[{]")),
     ("ros", re.compile(rb"^\s*-?\s*(?:joint_names|joint_trajectory|points):", re.MULTILINE)),

@@ -42,6 +42,10 @@ class Controller(Protocol):
     def locked(self) -> Mapping[str, float]:
         """Values of joints that do not move [rad or m], by name."""
 
+    @property
+    def j3_from(self) -> str:
+        """Where joint 3 of a FANUC arm is counted from: "upper_arm" or "horizontal"."""
+
 
 class Source(NamedTuple):
     """A motion's file, its content, and what it is read for."""
@@ -124,6 +128,7 @@ class Rows(NamedTuple):
     poses: Float[np.ndarray, "n 4 4"] | None = None  # [m]
     counted: str = "line"  # what `line` counts
     relative_rounding: float | None = None  # of numbers that are not written in decimals [1]
+    corner_share: Float[np.ndarray, "n 2"] | None = None  # see `MotionFile`
 
 
 def listed(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-from .path_file import PathPoints, read_path_points
+from .path_file import PathPoints, has_feeds, read_path_points
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool
 from .workpiece_source import (
@@ -20,6 +20,7 @@ __all__ = [
     "WorkpieceSource",
     "check_cell_extent",
     "check_tool",
+    "has_feeds",
     "load_geometry",
     "load_workpiece",
     "read_path_points",

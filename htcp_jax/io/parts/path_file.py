@@ -11,10 +11,11 @@ import scipy
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts import angles, columns, headings
-from htcp_jax.io.parts.path_table import PathTable
+from htcp_jax.io.parts import angles, apt, columns, headings
+from htcp_jax.io.parts.path_table import ENDINGS, PathTable
 from htcp_jax.io.parts.seams import SeamRows, name_jumps
 from htcp_jax.model import ONE_POINT_M, PathFrames
+from htcp_jax.system import known_ending
 
 PARALLEL = 0.05  # sine of the smallest angle between the plates of a fillet
 GUESSED = ("i", "j", "k")  # read as normals only if they are unit vectors; they may also be indices of cells
@@ -26,6 +27,7 @@ class PathPoints(NamedTuple):
     xyz: Float[np.ndarray, "T 3"]  # [m]
     frames: PathFrames
     seams: Sequence[SeamRows] = ()  # the seams in the file
+    feeds_m_s: Sequence[float | None] = ()  # feed of each seam; None: unknown; empty: the file has no feeds
 
     def rows(self, rows: slice | Int[np.ndarray, "n"]) -> "PathPoints":
         """Return some of the points as one seam, in another order or backwards.
@@ -60,6 +62,8 @@ def read_path_points(
         InputError: As `PathTable` and `angles.rotations_of` do, for a normal or tangent whose length is not 1, for a
             quaternion of length 0, and for plates that are parallel.
     """
+    if known_ending(path, (*ENDINGS, *apt.ENDINGS, *apt.G_CODE)) not in ENDINGS:
+        return _of_apt(path, chosen, unit, maker)
     table = PathTable(path, chosen, unit)
     for seam in table.seams:
         name_jumps(str(path), table.xyz, ONE_POINT_M, seam)
@@ -76,6 +80,24 @@ def read_path_points(
         normals = plates.sum(axis=1)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return PathPoints(table.xyz, PathFrames(normals, tangents, _rotations(table, maker, path), plates), table.seams)
+
+
+def has_feeds(path: Path) -> bool:
+    """Return True for a file whose kind states feeds: an APT source or a CLS file."""
+    return path.suffix.lower() in apt.ENDINGS
+
+
+def _of_apt(path: Path, chosen: Mapping[str, int | str], unit: str | None, maker: angles.Maker | None) -> PathPoints:
+    """Return the points of an APT or CLS file.
+
+    Raises:
+        InputError: If columns or angles are chosen, which the file does not have.
+    """
+    found = apt.read_apt(path, unit)
+    for key, value in (("workpiece.path_columns", chosen), (angles.KEY, maker)):
+        if value:
+            raise InputError(f"{path}: {key} is for tables, but the path is an APT source; omit the key")
+    return PathPoints(found.xyz, PathFrames(found.normals), found.seams, found.feeds_m_s)
 
 
 def _family(table: PathTable, families: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:

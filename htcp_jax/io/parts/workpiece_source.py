@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError, Note
+from htcp_jax.io.parts import apt
 from htcp_jax.io.parts.duct_seams import seam
 from htcp_jax.io.parts.path_file import PathPoints, read_path_points
 from htcp_jax.io.parts.path_table import ENDINGS, PathTable
@@ -295,5 +296,7 @@ def _read_track(
 
 
 def _points_only(path: Path) -> PathPoints:
+    if path.suffix.lower() in (*apt.ENDINGS, *apt.G_CODE):
+        return read_path_points(path)
     table = PathTable(path)
     return PathPoints(table.xyz, PathFrames(), table.seams)

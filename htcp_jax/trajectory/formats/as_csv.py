@@ -2,6 +2,7 @@
 
 import csv
 import io
+from bisect import bisect_left
 
 import numpy as np
 
@@ -22,10 +23,11 @@ def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
     names = [f"{name}_{unit}" for name, unit in zip(timed.joint_names, units, strict=True)]
     rates = [f"{name}{per}" for per in ("", "_s", "_s2") for name in names]
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time_s", "kind", "target", *(["seam"] if controller.seams else []), *rates])
+    has_seams, ends = len(controller.seams) > 1, [seam.last for seam in controller.seams[:-1]]
+    writer.writerow(["time_s", "kind", "target", *(["seam"] if has_seams else []), *rates])
     states = np.hstack([timed.x, timed.velocity, timed.acceleration])
     columns = (column.tolist() for column in (timed.time_s, timed.kind, timed.target, states))
-    for time_s, kind, target, state in zip(*columns, strict=True):
-        seam = [controller.seams[target]] if controller.seams else []
+    for row, (time_s, kind, target, state) in enumerate(zip(*columns, strict=True)):
+        seam = [controller.seams[bisect_left(ends, row)].name] if has_seams else []
         writer.writerow([time_s, Kind(kind).name, target, *seam, *state])
     return stream.getvalue()

@@ -23,7 +23,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, JointGroups, UserFrame, header
 from htcp_jax.trajectory.formats.controller_limits import INFORM_LINES
-from htcp_jax.trajectory.formats.names import check_name
+from htcp_jax.trajectory.formats.names import check_name, output_number
 from htcp_jax.trajectory.formats.parts import ProgramFile, split
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -102,15 +102,14 @@ def _rectan_content(timed: TimedMotion, controller: ControllerData) -> _Content:
     names = [f"///USER {frame.number}", f"///TOOL {controller.tool}", "///POSTYPE USER", "///RECTAN"]
     attributes = ["///ATTR SC,RW,RJ", f"///FRAME USER {frame.number}"]
     percent, feed = _percents(timed, controller, "jbi").max(axis=1), _feed_mm_s(timed, frame)
-    about = header(
-        timed, *MORE, f"Tool {controller.tool} and user frame {frame.number} must be set as they were planned."
-    )
+    frames = f"Tool {controller.tool} and user frame {frame.number} must be set as they were planned."
+    about = header(timed, *MORE, frames, outputs=bool(controller.rows_with_outputs))
 
     def positions(rows: slice) -> list[str]:
         return [*_position_lines(frame._replace(T_frame_tcp=frame.T_frame_tcp[rows], flags=frame.flags[rows]))]
 
     def moves(rows: slice) -> Iterable[str]:
-        return _move_lines(percent[rows], feed[rows], rows.stop == len(percent))
+        return _with_outputs(_move_lines(percent[rows], feed[rows], rows.stop == len(percent)), rows, controller, "jbi")
 
     return _Content("jbi", names, attributes, about, (1, 0, 0), positions, moves)
 
@@ -126,7 +125,8 @@ def _pulse_content(timed: TimedMotion, controller: ControllerData) -> _Content:
             f"jbi-pulses: program.pulses.per_rad has {np.size(pulses.per_unit)} values for {timed.x.shape[1]} joints"
         )
     counts = np.round((timed.x - pulses.zero) * pulses.per_unit).astype(int)
-    about = header(timed, *MORE, CHECK_AXES, f"Tool {controller.tool}. Pulses by {pulses.source}.")
+    by = f"Tool {controller.tool}. Pulses by {pulses.source}."
+    about = header(timed, *MORE, CHECK_AXES, by, outputs=bool(controller.rows_with_outputs))
     percents = _percents(timed, controller, "jbi-pulses")
     names = [f"///TOOL {controller.tool}", "///POSTYPE PULSE", "///PULSE"]
 
@@ -139,10 +139,23 @@ def _pulse_content(timed: TimedMotion, controller: ControllerData) -> _Content:
         ]
 
     def moves(rows: slice) -> Iterable[str]:
-        return _pulse_move_lines(percents[rows], groups, rows.stop == len(percents))
+        lines = _pulse_move_lines(percents[rows], groups, rows.stop == len(percents))
+        return _with_outputs(lines, rows, controller, "jbi-pulses")
 
     used = tuple(int(len(columns) > 0) for columns in groups)
     return _Content("jbi-pulses", names, ["///ATTR SC,RW"], about, used, positions, moves)
+
+
+def _with_outputs(lines: Iterable[str], rows: slice, controller: ControllerData, format: str) -> Iterator[str]:
+    """Yield the moves to some rows, with the outputs that are set there after a full stop."""
+    for row, line in enumerate(lines, start=rows.start):
+        if row not in controller.rows_with_outputs:
+            yield line
+            continue
+        move, plus, station = line.partition(" +")
+        yield (move if move.endswith(" PL=0") else f"{move} PL=0") + plus + station
+        for output, value in controller.outputs_after(row):
+            yield f"DOUT OT#({output_number(format, output)}) {'ON' if value else 'OFF'}"
 
 
 def _one_job(content: _Content, count: int, controller: ControllerData) -> str:
@@ -158,9 +171,10 @@ def _one_job(content: _Content, count: int, controller: ControllerData) -> str:
 
 def _jobs(content: _Content, count: int, controller: ControllerData) -> list[ProgramFile]:
     remarks = [*_remarks(content.about)]
-    if len(remarks) + count + 2 <= MOST_LINES:
+    outputs = sum(len(controller.outputs_after(row)) for row in controller.rows_with_outputs)
+    if len(remarks) + count + outputs + 2 <= MOST_LINES:
         return [ProgramFile("", _one_job(content, count, controller), range(count))]
-    parts = split(count, MOST_LINES - 2 - PART_REMARKS)
+    parts = split(count, MOST_LINES - 2 - PART_REMARKS - outputs)
     found, main = [], content._replace(attributes=["///ATTR SC,RW"])
     calls = [f"CALL JOB:{controller.name}-{k}" for k in range(1, len(parts) + 1)]
     text = _job(main, controller, [], [0, 0, 0], [*remarks, *calls])

@@ -51,9 +51,9 @@ def rapid_files(timed: TimedMotion, controller: ControllerData) -> list[ProgramF
     The main module's procedure then calls those of the other modules in order.
     """
     name, count, (about, moves) = controller.name, len(timed.x), _comments_and_moves(timed, controller)
-    if count + len(about) + FRAME_LINES <= RAPID_LINES.most:
+    if count + sum(each.count("\n") for each in moves) + len(about) + FRAME_LINES <= RAPID_LINES.most:
         return [ProgramFile("", _module(name, about, moves), range(count))]
-    parts = split(count, RAPID_LINES.most - FRAME_LINES - 1)
+    parts = split(count, RAPID_LINES.most - FRAME_LINES - 1 - sum(each.count("\n") for each in moves))
     names = [f"{name}_{k}" for k in range(1, len(parts) + 1)]
     check_name("rapid: procedure name", names[-1], NAME, RULE.format(26))
     found = [ProgramFile("", _module(name, about, [f"{each};" for each in names]), range(0))]
@@ -80,14 +80,24 @@ def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple
     x = _controller_values(timed.x, controller)
     places = [f"[{_axes(row, controller, groups.robot)},{_axes(row, controller, groups.external)}]" for row in x]
     sums = [f"{timed.joint_names[k]} is written as its sum with {timed.joint_names[j]}." for k, j in controller.coupled]
-    about = header(timed, *MORE, CHECK_AXES, *sums, f"Degrees and mm. {_tool_line(tool, controller)}")
+    units = f"Degrees and mm. {_tool_line(tool, controller)}"
+    about = header(timed, *MORE, CHECK_AXES, *sums, units, outputs=bool(controller.rows_with_outputs))
     moves = [f"MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};"]
     stops = np.abs(timed.velocity).max(axis=1) <= SLOWEST
-    stops[-1] = True
+    stops[[-1, *controller.rows_with_outputs]] = True
     for place, seconds, is_stop in zip(places[1:], np.diff(timed.time_s).tolist(), stops[1:].tolist(), strict=True):
         zone = "fine" if is_stop else "z0"
         moves.append(f"MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
+    for row in controller.rows_with_outputs:
+        moves[row] = "\n    ".join([moves[row], *map(_set_output, controller.outputs_after(row))])
     return about, moves
+
+
+def _set_output(output: tuple[int | str, bool]) -> str:
+    signal, value = output
+    name = f"do{signal}" if isinstance(signal, int) else signal
+    check_name("rapid: output", name, TOOL_NAME, RULE.format(32), RAPID_WORDS | USED)
+    return f"SetDO {name},{int(value)};"
 
 
 def _module(name: str, about: list[str], statements: list[str]) -> str:

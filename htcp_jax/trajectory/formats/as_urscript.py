@@ -13,16 +13,17 @@ from jaxtyping import Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
-from htcp_jax.trajectory.formats.names import URSCRIPT_WORDS, check_name
+from htcp_jax.trajectory.formats.names import URSCRIPT_WORDS, check_name, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 JOINTS = 6
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-USED = frozenset(("movej", "servoj", "stopj"))  # functions that a program calls
+USED = frozenset(("movej", "servoj", "stopj", "set_standard_digital_out"))  # functions that a program calls
 LOOKAHEAD_S, GAIN = 0.1, 300  # the manual's defaults
 SLOW_RAD_S, SLOW_RAD_S2 = 0.1, 0.1  # velocity and acceleration of the move to the first configuration
 STOP_RAD_S2 = 1.0
 ONE_TIME_S = 1e-7
+OUTPUTS = 8  # standard digital outputs, counted from 0
 MORE = (
     "The arm first goes slowly from wherever it stands to the first configuration.",
     "servoj follows with a lag and smooths; radians, to 6 digits.",
@@ -42,12 +43,24 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
     rule = "letters, digits and _, a letter first"
     check_name("urscript: function name", controller.name, NAME, rule, URSCRIPT_WORDS | USED)
     hold_s = _controller_steps(timed, controller.control_step_s) * controller.control_step_s
+    about = header(timed, *MORE, outputs=bool(controller.rows_with_outputs))
     configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
-    lines = [f"# {line}" for line in header(timed, *MORE)] + [f"def {controller.name}():"]
+    lines = [f"# {line}" for line in about] + [f"def {controller.name}():"]
     lines.append(f"  movej([{configurations[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
-    for configuration, seconds in zip(configurations[1:], hold_s.tolist(), strict=True):
+    lines += _output_lines(controller, 0)
+    for row, (configuration, seconds) in enumerate(zip(configurations[1:], hold_s.tolist(), strict=True), start=1):
         lines.append(f"  servoj([{configuration}], 0, 0, {seconds:.6f}, {LOOKAHEAD_S}, {GAIN})")
+        lines += _output_lines(controller, row)
     return "\n".join([*lines, f"  stopj({STOP_RAD_S2})", "end", f"{controller.name}()"]) + "\n"
+
+
+def _output_lines(controller: ControllerData, row: int) -> list[str]:
+    if row not in controller.rows_with_outputs:
+        return []
+    found = [(output_number("urscript", output), value) for output, value in controller.outputs_after(row)]
+    if wrong := [number for number, _ in found if number >= OUTPUTS]:
+        raise InputError(f"urscript: output {wrong[0]}; the standard digital outputs are 0 to {OUTPUTS - 1}")
+    return [f"  set_standard_digital_out({number}, {value})" for number, value in found]
 
 
 def _controller_steps(timed: TimedMotion, step_s: float) -> Int[np.ndarray, "m"]:

@@ -10,6 +10,8 @@ from htcp_jax.trajectory.controller_data import ControllerData
 from htcp_jax.trajectory.formats.as_csv import csv_text
 from htcp_jax.trajectory.formats.as_jbi import jbi_files, jbi_pulses_files, jbi_pulses_text, jbi_text
 from htcp_jax.trajectory.formats.as_keyframes import keyframes_text
+from htcp_jax.trajectory.formats.as_krl import krl_text
+from htcp_jax.trajectory.formats.as_ls import ls_text
 from htcp_jax.trajectory.formats.as_rapid import rapid_files, rapid_text
 from htcp_jax.trajectory.formats.as_ros import ros_json_text, ros_yaml_text
 from htcp_jax.trajectory.formats.as_urscript import urscript_text
@@ -28,16 +30,20 @@ class ProgramFormat(NamedTuple):
     axes: tuple[str, ...] = ("commanded",)
     joined: tuple[str, ...] = (LINEAR,)  # how players join samples, see `deviation`
     files: Callable[[TimedMotion, ControllerData], list[ProgramFile]] | None = None  # None: the format has one file
+    outputs: bool = False  # True: the format can set digital outputs
+    whole_corners: bool = False  # True: a rounded corner may extend to the middles of its legs
 
 
 FORMATS = {
     "csv": ProgramFormat(csv_text, 0.001, axes=("commanded", "all"), joined=(LINEAR, QUINTIC)),
     "ros": ProgramFormat(ros_yaml_text, 0.01, axes=("commanded", "all"), joined=(LINEAR, QUINTIC)),
     "ros-json": ProgramFormat(ros_json_text, 0.01, axes=("commanded", "all"), joined=(LINEAR, QUINTIC)),
-    "jbi": ProgramFormat(jbi_text, None, external_axes=False, files=jbi_files),
-    "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_group=True, files=jbi_pulses_files),
-    "rapid": ProgramFormat(rapid_text, None, by_group=True, files=rapid_files),
-    "urscript": ProgramFormat(urscript_text, 0.002, external_axes=False),
+    "jbi": ProgramFormat(jbi_text, None, external_axes=False, files=jbi_files, outputs=True),
+    "jbi-pulses": ProgramFormat(jbi_pulses_text, None, by_group=True, files=jbi_pulses_files, outputs=True),
+    "rapid": ProgramFormat(rapid_text, None, by_group=True, files=rapid_files, outputs=True),
+    "krl": ProgramFormat(krl_text, None, by_group=True, outputs=True),
+    "ls": ProgramFormat(ls_text, None, by_group=True, outputs=True, whole_corners=True),
+    "urscript": ProgramFormat(urscript_text, 0.002, external_axes=False, outputs=True),
     "keyframes": ProgramFormat(keyframes_text, 0.01, axes=("all",)),
 }
 

@@ -1,0 +1,163 @@
+r"""KRL of KUKA: one `PTP` to axis values for each configuration.
+
+`PTP` moves all axes, including external axes, along straight joint paths, which are proven. At a corner, `C_PTP` leaves
+the path at most `$APO.CPTP` percent of half a leg before it; where the motion stops, the position is exact. Speeds are
+percents: `$VEL_AXIS` of the axes' full speeds, and `$RED_VEL` of it for each move.
+
+Sources: KUKA, mxAutomation Logix 1.0, page 25 (CPTP: at most half of the distance from the start to the end point);
+KUKA, System Variables, KSS 8.1 to 8.4 ($APO, $VEL_AXIS, $VEL_EXTAX, $RED_VEL); the KRL grammar in
+github.com/antlr/grammars-v4.
+"""
+
+import re
+import textwrap
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.errors import InputError
+from htcp_jax.status import Kind
+from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.names import KRL_WORDS, check_name, comment, output_number
+from htcp_jax.trajectory.timed_motion import TimedMotion
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,23}")
+RULE = "up to 24 letters, digits and _, a letter first"
+USED = frozenset(("bas", "e6axis"))
+ROBOT_AXES, EXTERNAL_AXES = 6, 6
+FIRST_PERCENT = 5
+MOST_ABOVE = 1e-3  # rounding of shares [%]
+DIGITS = 5  # decimals of degrees and mm
+SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
+FARTHEST = 5 / 32  # distance of the program's blend from its corner, in its length times the change of slope
+WIDTH = 100  # maximum number of characters of a comment
+MORE = (
+    "No times: speeds stand for them, in percent of the axes' full speeds.",
+    "The arm first goes slowly from wherever it stands to the first configuration.",
+    "Corners are rounded by C_PTP, at most $APO.CPTP percent of half a leg before them.",
+    "Check that $RED_VEL scales speeds at this controller: compare the time of the first seam.",
+)
+
+
+def krl_text(timed: TimedMotion, controller: ControllerData) -> str:
+    """Return a module with one procedure.
+
+    Raises:
+        InputError: For a robot without exactly six revolute joints, more than six external axes, an invalid name of the
+            procedure, missing joint speeds, and velocities above them.
+    """
+    groups, name = controller.joint_groups, controller.name
+    if len(groups.robot) != ROBOT_AXES:
+        raise InputError(
+            f"krl: a robot of {len(groups.robot)} joints; E6AXIS has {ROBOT_AXES}; set program.groups for external axes"
+        )
+    if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
+        raise InputError(f"krl: {sliding[0]} is a slide joint; put it into program.groups.base")
+    if len(groups.external) > EXTERNAL_AXES:
+        raise InputError(f"krl: {len(groups.external)} external axes; E6AXIS supports at most {EXTERNAL_AXES}")
+    check_name("krl: procedure name", name, NAME, RULE, KRL_WORDS | USED)
+    tool = f"TOOL_DATA[{controller.tool}]" if controller.tool else "$NULLFRAME"
+    lines = ["&ACCESS RVP", "&REL 1", f"DEF {name}()"]
+    outputs = bool(controller.rows_with_outputs)
+    for sentence in header(timed, *MORE, CHECK_AXES, *_tcp_lines(controller), outputs=outputs):
+        lines += [f"; {line}" for line in textwrap.wrap(comment(sentence), WIDTH)]
+    lines += ["BAS(#INITMOV,0)", f"$TOOL={tool}", "$BASE=$NULLFRAME", *_moves(timed, controller), "$RED_VEL=100", "END"]
+    return "\r\n".join(lines) + "\r\n"
+
+
+def _tcp_lines(controller: ControllerData) -> list[str]:
+    if (tcp := controller.tcp) is None:
+        return []
+    x, y, z = (np.round(1e3 * tcp.T_frame_tcp[:3, 3], 3) + 0.0).tolist()
+    return [
+        f"The planned TCP is at X {x:.3f}, Y {y:.3f}, Z {z:.3f} mm in the frame of {tcp.frame}; $TOOL must have it."
+    ]
+
+
+def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
+    """Yield the statements of the motion."""
+    on_path, exact = _is_process(timed), _stops(timed, controller)
+    velocity, factor = _percents(timed, controller, on_path)
+    corner = _corner_percents(timed)
+    begins = {seam.first: seam.name for seam in controller.seams}
+    last: tuple[int, int, int] = (0, 0, 0)  # values of $VEL_AXIS, $RED_VEL and $APO.CPTP
+    for row in range(len(timed.x)):
+        if row and (row == 1 or on_path[row] != on_path[row - 1]):
+            yield "; process" if on_path[row] else "; air move"
+        now = int(velocity[row]), int(factor[row]), last[2] if exact[row] else int(corner[row])
+        if now[0] != last[0]:
+            yield from (f"$VEL_AXIS[{k + 1}]={now[0]}" for k in range(ROBOT_AXES))
+            yield from (f"$VEL_EXTAX[{k + 1}]={now[0]}" for k in range(len(controller.joint_groups.external)))
+        if now[1] != last[1]:
+            yield f"$RED_VEL={now[1]}"
+        if now[2] != last[2]:
+            yield f"$APO.CPTP={now[2]}"
+        last = now
+        yield f"PTP {_axes(timed.x[row], controller)}{'' if exact[row] else ' C_PTP'}"
+        if row in begins:
+            yield f"; seam {comment(begins[row])}"
+        for output, value in controller.outputs_after(row):
+            yield f"$OUT[{output_number('krl', output)}]={'TRUE' if value else 'FALSE'}"
+
+
+def _is_process(timed: TimedMotion) -> Bool[np.ndarray, "n"]:
+    """Return True for rows to which the tool follows the path."""
+    return np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL))
+
+
+def _stops(timed: TimedMotion, controller: ControllerData) -> Bool[np.ndarray, "n"]:
+    """Return True for rows at which the arm stops."""
+    stops = np.abs(timed.velocity).max(axis=1, initial=0.0) <= SLOWEST
+    if timed.blended is not None:
+        stops |= timed.blended <= 0
+    stops[[0, -1, *controller.rows_with_outputs]] = True
+    return stops
+
+
+def _percents(
+    timed: TimedMotion, controller: ControllerData, on_path: Bool[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Return $VEL_AXIS and $RED_VEL for the move to each row; $VEL_AXIS changes where process and air moves begin.
+
+    Raises:
+        InputError: If the joint speeds are missing, and for more than 100 %.
+    """
+    if controller.speed is None or not np.isfinite(controller.speed).all():
+        raise InputError("krl: the full joint speeds are missing; set program.velocity")
+    count = len(timed.x)
+    velocity, factor = np.full(count, FIRST_PERCENT), np.full(count, 100)
+    if count < 2:
+        return velocity, factor
+    shares = 100 * np.abs(np.diff(timed.x, axis=0)) / (np.diff(timed.time_s)[:, None] * controller.speed)
+    if (shares > 100 + MOST_ABOVE).any():
+        row, joint = np.unravel_index(shares.argmax(), shares.shape)
+        fast = f"{timed.joint_names[joint]} at {shares[row, joint]:.1f} % of its full speed"
+        raise InputError(f"krl: {fast}, {timed.time_s[row]:.6g} s from the start; at most 100 %")
+    share = shares.max(axis=1)
+    begins = [1, *(np.flatnonzero(on_path[2:] != on_path[1:-1]) + 2).tolist(), count]
+    for first, stop in pairwise(begins):
+        velocity[first:stop] = np.clip(np.ceil(share[first - 1 : stop - 1].max() - MOST_ABOVE), 1, 100)
+    factor[1:] = np.clip(np.round(100 * share / velocity[1:]), 1, 100)
+    return velocity, factor
+
+
+def _corner_percents(timed: TimedMotion) -> Int[np.ndarray, "n"]:
+    """Return $APO.CPTP at each row: what the program's blend, which is within the proof, displaces; at least 1.
+
+    A path within a length d of the corner is at most d times the change of slope away from the corner's legs.
+    """
+    if timed.blended is None:
+        return np.ones(len(timed.x), int)
+    return np.clip(np.floor(200 * FARTHEST * timed.blended), 1, 100).astype(int)
+
+
+def _axes(x: Float[np.ndarray, "N"], controller: ControllerData) -> str:
+    """Return axis values as text, in degrees, or in mm for slides."""
+    groups = controller.joint_groups
+    values = np.where(controller.slides, 1e3 * x, np.degrees(x))
+    numbers = (np.round(values, DIGITS) + 0.0).tolist()
+    robot = [f"A{k + 1} {numbers[j]:.{DIGITS}f}" for k, j in enumerate(groups.robot)]
+    external = [f"E{k + 1} {numbers[j]:.{DIGITS}f}" for k, j in enumerate(groups.external)]
+    return f"{{E6AXIS: {', '.join([*robot, *external])}}}"
