@@ -15,10 +15,13 @@ from htcp_jax.io.parts.path_file import read_path_points
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
-from htcp_jax.model import Task, tool_angles_at
+from htcp_jax.model import PathFrames, Task, Workpiece, tool_angles_at
 from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
+from htcp_jax.model.rows_of_spec import PlacedPath, angles_of
 from htcp_jax.spec import ToolAxisRow
+from htcp_jax.validation.tool_angle_check import PathAxes
+from htcp_jax.validation.tool_angle_check import tool_angles as validated_angles
 from htcp_jax.viewer.angle_strip import draw_angles
 
 POSES = 1000
@@ -31,7 +34,7 @@ EVERY = [
 ]
 
 
-def angles_of(tool: np.ndarray, frame: np.ndarray) -> np.ndarray:
+def defined_angles(tool: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """The angles of a tool [rad], by their definition; columns of the tool are x, y, z, of the frame t, n x t, n."""
     (t, b, n), (x, _, to_tip) = frame.T, tool.T
     h = -to_tip
@@ -57,7 +60,7 @@ def row_and_goals(limits, rng) -> tuple:
     angles = rng.uniform((-1.2, -1.2, -3.0), (1.2, 1.2, 3.0), (POSES, 3))
     frames = Rotation.random(POSES, rng=rng).as_matrix()
     tools = frames @ np.array([leaning(*each) for each in angles])
-    np.testing.assert_allclose([angles_of(*pair) for pair in zip(tools, frames, strict=True)], angles, atol=1e-9)
+    np.testing.assert_allclose([defined_angles(*pair) for pair in zip(tools, frames, strict=True)], angles, atol=1e-9)
     off = rng.uniform(-0.2, 0.2, (POSES, 3)) * (rng.random((POSES, 3)) < 0.5)
     half = np.array([0.1 if limit == "range" else 0.0 for limit in limits])
     bounds = (angles + off)[..., None] + np.stack([-half, half], axis=1)
@@ -140,6 +143,35 @@ def test_zero_from_the_bisector_is_45_degrees_from_a_plate_of_a_right_angle(tmp_
         np.testing.assert_allclose(goals, middle, atol=1e-12)
 
 
+def test_validation_measures_from_the_same_plate_as_the_goals_where_plates_are_not_perpendicular_to_the_path():
+    """As in the corner of a square, where the tangent is half way between both sides."""
+    rng = np.random.default_rng(5)
+    frames = Rotation.random(20, rng=rng).as_matrix()
+    local = np.stack([np.tile([0.0, 0.0, 1.0], (20, 1)), np.tile([0.6, 0.8, 0.0], (20, 1))], axis=1)
+    plates = np.einsum("nij,npj->npi", frames, local)
+    tools = Rotation.random(20, rng=rng).as_matrix()
+    at = {"pivot": np.zeros(3), "neutral_translation": np.zeros(3)}
+    normals, tangents = frames[:, :, 2], frames[:, :, 0]
+    path = PathFrames(normals, tangents, None, plates)
+    part = Workpiece(
+        "path", made_once.duct().cloud[::1000], rng.normal(size=(20, 3)), interior="none", frames=path, **at
+    )
+    placed = PlacedPath(np.eye(3), np.zeros(3), part.path, part)
+    for plate in ("plate_1", "plate_2"):
+        row = ToolAxisRow("tcp.z", 45.0, work_angle_from=plate)
+        angles, _ = validated_angles(row, tools, PathAxes(frames, plates))
+        h, x = -tools[:, :, 2], tools[:, :, 0]
+        value = np.concatenate([h, x, np.cross(h, x)], axis=1)
+        off = angles_of(row, value, placed) - angles
+        np.testing.assert_allclose((off + np.pi) % (2 * np.pi) - np.pi, 0, atol=1e-9)
+
+
+def test_a_plate_whose_normal_is_along_the_seam_is_refused(tmp_path):
+    file = line(tmp_path, "along.csv", "p:0,0,1,0,1,0", "t:0,1,0")
+    with pytest.raises(InputError, match=r"task.2 .*: the normal of plate 2 is 0 degrees from the seam at point 1"):
+        made({"tool_axis": "tcp.z", "work_angle_deg": 45, "work_angle_from": "plate_1"}, path=file)
+
+
 def test_a_direction_in_the_paths_frame_is_x_along_the_tangent_and_z_along_the_normal(tmp_path):
     file = line(tmp_path, "a.csv", "n:0,0,1", "t:0,1,0")
     _, goals = made({"axis": "tcp.z", "towards": [3, 0, -4], "frame": "path"}, path=file)
@@ -159,7 +191,10 @@ def test_goals_between_targets_turn_with_the_path():
     ("row", "message"),
     [
         ({"work_angle_deg": [20, 10]}, "work_angle_deg is the empty range 20 to 10; the first angle must be less"),
-        ({"travel_angle_deg": [5, 5]}, "travel_angle_deg is the empty range 5 to 5"),
+        ({"travel_angle_deg": [5, 5]}, "travel_angle_deg is the empty range 5 to 5; write 5"),
+        ({"spin_deg": [170, -170]}, r"for a range across 180 write \[170, 190\]"),
+        ({"work_angle_deg": "push"}, r"'push' is no angle; valid: a number of degrees, a range such as \[42, 48\], or"),
+        ({"work_angle_deg": [1, 2, 3]}, r"\[1, 2, 3\] is no angle; valid: a number of degrees"),
         ({"work_angle_deg": 90}, "work_angle_deg is 90; it must be between -90 and 90"),
         ({"travel_angle_deg": [-91, 0]}, "travel_angle_deg is -91 to 0; it must be -90 to 90, or free"),
         ({"spin_deg": [-100, 100]}, "spin_deg is a range of 200 degrees; at most 180 are possible, or free"),
@@ -207,8 +242,11 @@ def test_a_plans_angles_are_those_of_the_definition_at_each_target_of_the_path(t
              for plate in ("normal", "plate_2")}  # fmt: skip
     frame = np.array([[0, 1, 0], [-(0.5**0.5), 0, 0.5**0.5], [0.5**0.5, 0, 0.5**0.5]]).T
     tools = np.asarray(jax.jit(jax.vmap(tcp_pose, (None, 0)))(robot, jnp.asarray(x)))[-4:, :3, :3]
-    np.testing.assert_allclose(np.deg2rad(found["normal"][-4:]), [angles_of(tool, frame) for tool in tools], atol=1e-9)
-    np.testing.assert_allclose(found["plate_2"][-4:, 0], 45 - found["normal"][-4:, 0])
+    np.testing.assert_allclose(
+        np.deg2rad(found["normal"][-4:]), [defined_angles(tool, frame) for tool in tools], atol=1e-9
+    )
+    from_plate = 45 - found["normal"][-4:, 0]
+    np.testing.assert_allclose(found["plate_2"][-4:, 0], (from_plate + 180) % 360 - 180)
     assert np.isnan(found["normal"][:-4]).all()
 
 

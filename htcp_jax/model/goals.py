@@ -26,6 +26,7 @@ from htcp_jax.model.task_rows import Row, TaskPoint
 from htcp_jax.model.workpiece import Workpiece
 from htcp_jax.spec import TCP_ON_PATH, BuiltInRow, TaskRowKind, ToolAxisRow, path_row
 
+MOST_ALONG = 0.8  # largest component of a plate's normal along the seam; in the corner of a square it is 0.71
 DRAWS, FLAT = 8, 1e-6  # random configurations from which a task's rank is computed; tolerance of singular values
 
 
@@ -201,6 +202,14 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
         if "plates" in row.uses and workpiece.frames.plates is None:
             remedy = "add columns n1x,n1y,n1z,n2x,n2y,n2z, the plates' normals, to its file"
             raise RowError(f": the path has no plates; {remedy}", f"{k} ({row})")
+        if "plates" in row.uses:
+            along = np.abs(np.einsum("tpx,tx->tp", workpiece.frames.plates, workpiece.tangents))
+            if len(far := np.argwhere(along > MOST_ALONG)):
+                point, plate = far[0] + 1
+                reason = (
+                    f": the normal of plate {plate} is {np.rad2deg(np.arccos(along[*far[0]])):.3g} degrees from the "
+                )
+                raise RowError(f"{reason}seam at point {point}; it must be across the seam", f"{k} ({row})")
         if row.uses >= {"normals", "tangents"}:
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):

@@ -208,8 +208,8 @@ def _tool_axis_goals(spec: ToolAxisRow, row: Row, placed: PlacedPath) -> Float[n
     bounds = np.array([(0, 0) if value == "free" else spec.bounds_deg(name) for name, value in spec.angles()])
     bounds = np.tile(np.deg2rad(bounds).ravel(), (count, 1))
     if spec.plate is not None:
-        surface = _plate_angles(placed, axes, spec.plate)[:, None]
-        bounds[:, :2] = np.sort(surface - np.sign(surface) * bounds[:, :2], axis=1)
+        surface, sign = _plate_angles(placed, axes, spec.plate)
+        bounds[:, :2] = np.sort(surface[:, None] + sign[:, None] * bounds[:, :2], axis=1)
     offsets = np.zeros((count, row.equalities + row.inequalities))
     return np.column_stack([np.swapaxes(axes, 1, 2).reshape(count, 9), bounds, offsets])
 
@@ -228,24 +228,31 @@ def angles_of(spec: ToolAxisRow, value: Float[np.ndarray, "T 9"], placed: Placed
     pairs = [((p * u).sum(axis=1), (q * v).sum(axis=1)) for p, u, q, v in ((h, b, h, n), (h, -t, h, n), (y, t, x, t))]
     angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)
     if spec.plate is not None:
-        surface = _plate_angles(placed, axes, spec.plate)
-        angles[:, 0] = np.abs(surface) - np.sign(surface) * angles[:, 0]
+        surface, sign = _plate_angles(placed, axes, spec.plate)
+        angles[:, 0] = (sign * (angles[:, 0] - surface) + np.pi) % (2 * np.pi) - np.pi
     return angles
 
 
-def _plate_angles(placed: PlacedPath, axes: Float[np.ndarray, "T 3 3"], plate: int) -> Float[np.ndarray, "T"]:
+def _plate_angles(
+    placed: PlacedPath, axes: Float[np.ndarray, "T 3 3"], plate: int
+) -> tuple[Float[np.ndarray, "T"], Float[np.ndarray, "T"]]:
     """Return the work angle of the direction from the seam along one plate of a fillet [rad].
 
     Args:
         placed: The path.
         axes: See `PlacedPath.axes`.
         plate: Index of the plate, 0 or 1.
+
+    Returns:
+        The angle, and 1 where the work angle increases from there into the free space, else -1.
     """
     t, b, n = np.moveaxis(axes, 1, 0)
     normals = placed.workpiece.frames.plates @ placed.rotate.T
-    along = np.cross(normals[:, plate], t)
+    normal = normals[:, plate]
+    along = np.cross(normal, t)
     along *= np.sign((along * normals[:, 1 - plate]).sum(axis=1, keepdims=True))  # away from the other plate
-    return np.arctan2((along * b).sum(axis=1), (along * n).sum(axis=1))
+    surface = np.arctan2((along * b).sum(axis=1), (along * n).sum(axis=1))
+    return surface, np.sign((normal * b).sum(axis=1) * np.cos(surface) - (normal * n).sum(axis=1) * np.sin(surface))
 
 
 def drawn_goal(spec: TaskRowKind, row: Row, rng: np.random.Generator) -> Float[np.ndarray, "g"]:

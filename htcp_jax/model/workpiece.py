@@ -162,7 +162,9 @@ class Workpiece:
         if self.frames.normals is not None:
             return self.frames.normals
         if not len(self.cloud):
-            raise InputError(f"{self.name}: without a cloud, the path's file must have normals in columns nx,ny,nz")
+            raise InputError(
+                f"{self.name}: without a cloud, the path's file must have normals: columns nx,ny,nz, or those of plates"
+            )
         return wall_normals(self.cloud, self.path)
 
     @cached_property

@@ -13,13 +13,31 @@ With n the path's normal, t its tangent in the direction of travel, and h the to
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator
 
 from htcp_jax.errors import InputError
 from htcp_jax.spec.built_in_row import BuiltInRow, axis_parts, check_axis
 from htcp_jax.spec.task_row_kind import TaskRowKind
 
-Angle = Literal["free"] | float | tuple[float, float]  # any angle, one angle, or a range [degrees]
+
+def _angle(value: Any) -> Any:
+    """Return an angle or a range as numbers; any other value is refused."""
+    numbers = value if isinstance(value, list | tuple) else [value]
+    try:
+        found = tuple(float(number) for number in numbers if not isinstance(number, bool))
+    except (TypeError, ValueError):
+        found = ()
+    if value == "free":
+        return value
+    if len(found) != len(numbers) or not len(found) == (2 if numbers is value else 1):
+        raise InputError(f"{value!r} is no angle; valid: a number of degrees, a range such as [42, 48], or free")
+    return found if numbers is value else found[0]
+
+
+# Any angle, one angle, or a range [degrees].
+Angle = Annotated[Literal["free"] | float | tuple[float, float], BeforeValidator(_angle)]
 PLATES = "plate_1", "plate_2"
 TOOL_ANGLES = "work_angle_deg", "travel_angle_deg", "spin_deg"
 
@@ -52,7 +70,10 @@ class ToolAxisRow(BuiltInRow):
             lower, upper = self.bounds_deg(name)
             least, most = self._limits(name)
             if isinstance(value, tuple) and not lower < upper:
-                raise InputError(f"{name} is the empty range {lower:g} to {upper:g}; the first angle must be less")
+                way = f"write {lower:g}" if lower == upper else "the first angle must be less"
+                if name == "spin_deg" and upper < lower < upper + 360:
+                    way = f"for a range across 180 write [{lower:g}, {upper + 360:g}]"
+                raise InputError(f"{name} is the empty range {lower:g} to {upper:g}; {way}")
             if not least <= lower <= upper <= most:
                 shown = f"{lower:g} to {upper:g}" if isinstance(value, tuple) else f"{lower:g}"
                 raise InputError(f"{name} is {shown}; it must be {least} to {most}, or free")

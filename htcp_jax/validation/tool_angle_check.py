@@ -34,12 +34,12 @@ def tool_angles(
     t, b, n = np.moveaxis(axes.frames, 2, 0)
     across, along = b, n
     if row.plate is not None:
-        normal, other = axes.plates[:, row.plate], axes.plates[:, 1 - row.plate]
+        both = axes.plates - (axes.plates * t[:, None]).sum(axis=2, keepdims=True) * t[:, None]  # across the seam
+        both /= np.linalg.norm(both, axis=2, keepdims=True)
+        normal, other = both[:, row.plate], both[:, 1 - row.plate]
         along = other - (other * normal).sum(axis=1, keepdims=True) * normal
-        along -= (along * t).sum(axis=1, keepdims=True) * t
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        across = np.cross(t, along)
-        across *= np.sign((across * n).sum(axis=1, keepdims=True))
+        across = normal
     pairs = [((-to_tip * u).sum(axis=1), (-to_tip * v).sum(axis=1)) for u, v in ((across, along), (-t, n))]
     pairs.append(((x * np.cross(to_tip, t)).sum(axis=1), (x * t).sum(axis=1)))
     angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)

@@ -16,7 +16,9 @@ NO_GLYPHS = np.empty((0, 2, 3))
 def glyphs(
     task: Sequence[TaskRowKind], workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"]
 ) -> NormalGlyphs:
-    """Return one glyph per point of the path, or none if no row of the task refers to the normals.
+    """Return one glyph per point of the path, or two if a row of the task refers to a fillet's plates.
+
+    None if no row of the task refers to normals.
 
     Args:
         task: Rows of the task.
@@ -25,5 +27,7 @@ def glyphs(
     """
     if not any("normals" in row.uses for row in task):
         return NO_GLYPHS
-    both = np.stack([workpiece.path, workpiece.path + LENGTH_M * workpiece.normals], axis=1)
+    plates = workpiece.frames.plates if any("plates" in row.uses for row in task) else None
+    normals = [workpiece.normals] if plates is None else [*np.moveaxis(plates, 1, 0)]
+    both = np.concatenate([np.stack([workpiece.path, workpiece.path + LENGTH_M * each], axis=1) for each in normals])
     return both @ T_world_workpiece[:3, :3].T + T_world_workpiece[:3, 3]
