@@ -488,10 +488,10 @@ def _plan_seams(
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
     problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
     began = time.perf_counter()
-    plans = sequencing.plan_seams(problem, found.variants, method, progress)
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
-    seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
     speed = _joint_speeds(robot, job)
+    plans = sequencing.plan_seams(problem, found.variants, home, speed, method, progress)
+    seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
     sequence = sequencing.find_sequence(problem, seams, plans.found, found.before, home, speed, progress)
     done = [visit.variant for visit in sequence.visits]
     missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.device import devices
-from htcp_jax.motion import Problem, joint_search
+from htcp_jax.device import tables
+from htcp_jax.motion import CollisionChecker, Problem, joint_search
 
 FIRST_PAIR = 1_000_000  # number of the first pair, which seeds its random numbers; those from home are smaller
 
@@ -76,18 +76,17 @@ class AirMoves:
         if not new:
             return new
         a, b = np.array(new).T
-        count, checker = len(self.configurations), self._problem.checkers[0]
-        with devices.on(checker.executor.device):
-            found = joint_search.join(
-                checker,
-                self._problem.scenarios,
-                np.zeros(len(new), int),
-                FIRST_PAIR + a * count + b,
-                self.configurations[a],
-                self.configurations[b],
-                self._problem.settings,
-                report=self._report,
-            )
+        number = FIRST_PAIR + a * len(self.configurations) + b
+        scenarios = tables.gather(self._problem.scenarios, np.zeros(len(new), int))  # one each, which counts the pairs
+
+        def join(checker: CollisionChecker, share: slice) -> list[np.ndarray | None]:
+            rows, ends = np.arange(len(new))[share], (self.configurations[a[share]], self.configurations[b[share]])
+            settings = self._problem.settings
+            return joint_search.join(checker, scenarios, rows, number[share], *ends, settings, report=self._report)
+
+        threads = min(self._problem.threads, len(new))
+        parts = self._problem.in_threads(join, threads)
+        found = [parts[k % threads][k // threads] for k in range(len(new))]
         for pair, via_points in zip(new, found, strict=True):
             self._known[pair] = None if via_points is None else AirMove(via_points, self._time_s(pair, via_points))
         return new

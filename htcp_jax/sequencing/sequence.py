@@ -7,6 +7,7 @@ times, and the order is found again, until all air moves in it are proven. Last,
 plans is found with the lower bounds of the air moves that are not proven.
 """
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -67,8 +68,9 @@ def find_sequence(
         order = _order(nodes, estimate, moves.home, before, seed, ORDER_EFFORT, hint)
         pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
-        report.begin(number, len(new))
-        moves.find(new)
+        if new:
+            report.begin(number, len(new))
+            moves.find(new)
         for a, b in new:
             move = moves.between(a, b)
             cost[a, b] = cost[b, a] = np.inf if move is None else move.time_s
@@ -116,7 +118,7 @@ class _Report:
     """Progress of the orders and their air moves."""
 
     def __init__(self, progress: Callable[[Progress], None] | None):
-        self._progress, self._now = progress, Progress(0, 0, 0, 0)
+        self._progress, self._now, self._lock = progress, Progress(0, 0, 0, 0), threading.Lock()
 
     def begin(self, number: int, moves: int) -> None:
         """Begin the air moves of an order."""
@@ -124,10 +126,11 @@ class _Report:
         self.add(0)
 
     def add(self, joined: int) -> None:
-        """Count air moves that are found."""
-        self._now = self._now._replace(targets_tracked=self._now.targets_tracked + joined)
-        if self._progress is not None:
-            self._progress(self._now)
+        """Count air moves that are found; may be called on any thread."""
+        with self._lock:
+            self._now = self._now._replace(targets_tracked=self._now.targets_tracked + joined)
+            if self._progress is not None:
+                self._progress(self._now)
 
 
 class _Nodes(NamedTuple):
