@@ -92,7 +92,8 @@ def plan_seams(
         return made
 
     for chosen in (usable & ~is_second, usable & is_second):
-        rows = np.flatnonzero(chosen & ~done)
+        turned = [int(variants.reverse[plan.variant]) for plan in found if _can_be_reversed(plan)]
+        rows = np.flatnonzero(chosen & ~np.isin(every, turned) & (variants.is_allowed | ~done))
         for plan in add(rows, tables.gather(scenarios, rows), problem.settings, "") if len(rows) else []:
             own = int(seam[plan.variant])
             if plan.plans.executable.sum() >= best[own].executable.sum():
@@ -206,7 +207,7 @@ def _both_directions(variants: Variants, reversible: Bool[np.ndarray, "V"], foun
     """Return the plans in all allowed directions, without those that are nearly equal."""
     every = list(found)
     for each in found:
-        if reversible[each.variant] and not len(each.plans.via_points.x):
+        if reversible[each.variant] and _can_be_reversed(each):
             every.append(_reversed(each, int(variants.reverse[each.variant])))
     kept = dict[int, list[SeamPlan]]()
     for each in every:
@@ -228,12 +229,19 @@ def _is_reversible(scenarios: Scenario, variant: int, reverse: int) -> bool:
     return bool(np.allclose(a, b[::-1], rtol=0, atol=1e-12))
 
 
+def _can_be_reversed(plan: SeamPlan) -> bool:
+    """Return False if the arm changes its configuration at a target: backwards, this is no dwell before a segment."""
+    return bool((plan.plans.via_points.share > 0).all())
+
+
 def _reversed(plan: SeamPlan, variant: int) -> SeamPlan:
-    """Return the same motion backwards; the plan must have no via points."""
+    """Return the same motion backwards."""
     found = {name: array[:, ::-1] for name, array in plan.plans.arrays().items() if name != "start"}
     for name in ("segment_status", "segment_clearance", "path_clear", "joint_step"):  # those of the segment before
         found[name] = np.roll(found[name], 1, axis=1)
-    own = plan.plans._replace(start=plan.end[None], **found)
+    scenario, target, x, share = (column[::-1] for column in plan.plans.via_points)
+    via_points = ViaPoints(scenario, (plan.plans.status.shape[1] - target).astype(target.dtype), x, 1.0 - share)
+    own = plan.plans._replace(start=plan.end[None], via_points=via_points, **found)
     return SeamPlan(variant, own, plan.end, plan.start)
 
 
