@@ -128,7 +128,7 @@ def solve_job(file: str, tenfold: int) -> None:
         print(
             f"effort {effort:g}, seed {max(seed, 0)}: {len(order.visits)} seams, {order.cost_s:.3f} s, "
             f"air moves {sum(legs):.3f} s, straight {length:.2f} rad, {turns} turns, "
-            f"gap {100 * (1 - order.bound_s / order.cost_s):.2f} %, "
+            f"{100 * (order.cost_s / order.bound_s - 1):.2f} % above the bound, "
             f"{time.process_time() - used:.1f} s of processor time",
             flush=True,
         )

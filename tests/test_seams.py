@@ -18,6 +18,7 @@ from htcp_jax.jobs.seam_paths import points_of_seams, with_seams_of_files
 from htcp_jax.model.path_frames import tangents
 from htcp_jax.motion import Problem, motion
 from htcp_jax.planning import methods
+from htcp_jax.runs.seam_order import SeamOrder
 from htcp_jax.status import Kind
 
 LEFT, RIGHT = (
@@ -239,7 +240,15 @@ def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves
     seen.clear()
     again = sequencing.find_sequence(seams, plans, found.before, moves, 0, seen.append, effort=1.0)
     assert not seen
-    assert order.bound_s - 1e-9 <= again.cost_s <= order.cost_s + 1e-9
+    assert again.cost_s == pytest.approx(order.cost_s)
+    legs = [leg.time_s for leg in (*again.moves, again.retract)]
+    steps = [np.abs(np.diff(motion.motions(plan.plans, 0).x, axis=0)).max(axis=1) for plan in again.visits]
+    assert again.cost_s == pytest.approx(sum(legs) + sum(each.sum() for each in steps))
+
+
+def test_the_stated_gap_compares_an_order_with_its_lower_bound():
+    assert "at most 25.0 % above the shortest order" in SeamOrder((), {}, 5.0, 4.0).facts()["order"]
+    assert "no lower bound" in SeamOrder((), {}, 5.0, 0.0).facts()["order"]
 
 
 def test_tangents_do_not_cross_from_seam_to_seam():

@@ -70,6 +70,11 @@ class AirMoves:
         home = self.configurations[self.home][None]
         return AirMove(np.concatenate([to.via_points, home, back.via_points]), to.time_s + back.time_s)
 
+    @property
+    def known(self) -> list[tuple[int, int]]:
+        """Pairs that have been joined, or for which the attempt has failed, by row."""
+        return list(self._known)
+
     def is_known(self, a: int, b: int) -> bool:
         """Return True if the pair has been joined, or the attempt has failed."""
         return _sorted((a, b)) in self._known

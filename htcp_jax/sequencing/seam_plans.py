@@ -23,7 +23,6 @@ from htcp_jax.planning import Method, batch
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-FURTHER = 1  # number of configurations, chosen one after another, from which a variant is planned in addition to home
 MOST_ENDS = 64  # ends of plans to which a configuration is compared
 SAMPLES_ROUND = 200  # number of the round of random configurations
 NO_SEAM = -1  # number of home among the seams
@@ -75,7 +74,7 @@ def plan_seams(
     """
     scenarios, seam, every = problem.scenarios, variants.seam, np.arange(len(variants.seam))
     reversible = np.array([_is_reversible(scenarios, v, int(r)) for v, r in enumerate(variants.reverse)], bool)
-    is_second = reversible & (variants.reverse < every)  # planned from home only if its reverse fails
+    is_second = reversible & (variants.reverse < every)  # planned from home only if its reverse does not serve it
     is_point = scenarios.count == scenarios.on_path + 1
     usable = np.isin(every, problem.to_plan) & (reversible | variants.is_allowed) & ~(is_point & is_second)
     nothing = problem.empty_plans()
@@ -87,7 +86,8 @@ def plan_seams(
         numbered = replace(begun, number=number + np.arange(len(rows), dtype=begun.number.dtype))
         made = _plans(replace(problem, scenarios=numbered, settings=settings), rows, method, progress, phase)
         compile_s, number = compile_s + made[0].plans.compile_s, number + len(rows)
-        found.extend(plan for plan in made if plan.plans.outcome(0).can_be_driven)
+        driven = [plan for plan in made if plan.plans.outcome(0).can_be_driven]
+        found.extend(plan for plan in driven if variants.is_allowed[plan.variant] or _can_be_reversed(plan))
         done = np.isin(seam, seam[[plan.variant for plan in found]])
         return made
 
@@ -102,11 +102,10 @@ def plan_seams(
     if not len(rows := np.flatnonzero(usable & done)):
         return SeamPlans([], lost, compile_s)
     samples, settings = _Configurations.sampled(problem, rows), replace(problem.settings, transfers=False, effort=0.0)
-    for _ in range(FURTHER):
-        rows, x = _starts(problem, samples, seam, found, home, speed)
-        begun = replace(tables.gather(scenarios, rows), x_start=x, x_home=x.copy(), auto_start=np.zeros(len(x), bool))
-        if len(x):
-            add(rows, begun, settings, "; from other configurations")
+    rows, x = _starts(problem, samples, seam, found, home, speed)
+    begun = replace(tables.gather(scenarios, rows), x_start=x, x_home=x.copy(), auto_start=np.zeros(len(x), bool))
+    if len(x):
+        add(rows, begun, settings, "; from other configurations")
     return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
 
 

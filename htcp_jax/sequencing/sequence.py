@@ -73,23 +73,17 @@ def find_sequence(
     if not len(plans):
         return SeamSequence([], [], None, 0.0, 0.0)
     nodes, report = _nodes(seams, plans, moves), _Report(progress)
-    cost = _least_times(moves)
-    is_known, least, ratio = np.zeros(cost.shape, bool), cost.copy(), 1.0
+    least = _least_times(moves)
+    cost, is_known, ratio = _times(moves, least)
     best, hint = (np.inf, list[int]()), None
     for number in range(1, ROUNDS + 1):
-        estimate = np.where(is_known, cost, ratio * cost)
-        order = _order(nodes, estimate, moves.home, before, seed, effort, hint)
+        order = _order(nodes, np.where(is_known, cost, ratio * cost), moves.home, before, seed, effort, hint)
         pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
         if new:
             report.begin(number, len(new))
             moves.find(new, report.add)
-        for a, b in new:
-            move = moves.between(a, b)
-            cost[a, b] = cost[b, a] = np.inf if move is None else move.time_s
-            is_known[a, b] = is_known[b, a] = True
-        finite = is_known & np.isfinite(cost) & (least > 0)
-        ratio = float(np.median(cost[finite] / least[finite])) if finite.any() else 1.0
+            cost, is_known, ratio = _times(moves, least)
         time_s = float(nodes.own_s[order.nodes].sum() + sum(cost[pair] for pair in pairs))
         best = min(best, (time_s, order.nodes), key=lambda each: each[0])
         if not new:
@@ -173,6 +167,22 @@ def _least_times(moves: AirMoves) -> Float[np.ndarray, "n n"]:
     """Return the least times between all configurations [s]."""
     rows = np.arange(len(moves.configurations))
     return np.stack([moves.least_time_s(row, rows) for row in rows])
+
+
+def _times(moves: AirMoves, least: Float[np.ndarray, "n n"]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return what is known about the times between all configurations.
+
+    Returns:
+        The times of air moves that are known, and lower bounds on all others (n, n) [s]; True for those known (n, n);
+        and the usual ratio of a known time to its lower bound.
+    """
+    cost, is_known = least.copy(), np.zeros(least.shape, bool)
+    for a, b in moves.known:
+        move = moves.between(a, b)
+        cost[[a, b], [b, a]] = np.inf if move is None else move.time_s
+        is_known[[a, b], [b, a]] = True
+    finite = is_known & np.isfinite(cost) & (least > 0)
+    return cost, is_known, float(np.median(cost[finite] / least[finite])) if finite.any() else 1.0
 
 
 def _order(
