@@ -3,6 +3,10 @@
     python -m benchmarks order                    40 seams with precedence, ten seeds; 300 points, one seed
     python -m benchmarks order --tenfold 10       the same, and ten seeds with ten times the effort: takes an hour
     python -m benchmarks order --only points --groups 500 --effort 60
+    python -m benchmarks order --job kingpin/job.yaml --tenfold 10
+
+With --job, the seams of a job are planned once; then `htcp plan`'s own search, and a search for each seed with ten
+times the effort, find orders of these plans. A proven air move is used by all of them.
 
 A job has seams in a box. A seam has nodes: branches of the arm, and both directions; a point has branches alone. A
 configuration is a smooth function of the position, moved by an offset for its branch, and a move takes as long as the
@@ -13,15 +17,20 @@ the processor time.
 
 import argparse
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks import hardware
+from htcp_jax import api, jobs, sequencing
+from htcp_jax.motion import Problem
+from htcp_jax.planning import methods
 from htcp_jax.sequencing import Order, shortest_order
 
 SPEED_RAD_S = np.array([2.5, 2.0, 3.0, 5.0, 5.0, 7.0])
 FEED_M_S = 0.05
+TURN_RAD = np.pi / 2
 
 
 class Job(NamedTuple):
@@ -68,6 +77,65 @@ def solve(case: Job, seed: int, effort: float) -> tuple[Order, float, float]:
     return order, time.perf_counter() - start, time.process_time() - used
 
 
+def nearest_tour(seams: np.ndarray, plans: Sequence, home: np.ndarray | None, speed: np.ndarray) -> list:
+    """Return one plan of each seam: always the one whose first configuration is reached soonest, from home on."""
+    starts, is_left, tour = np.array([plan.start for plan in plans]), np.ones(len(plans), bool), []
+    at = starts[0] if home is None else home
+    while is_left.any():
+        times = np.where(is_left, (np.abs(starts - at) / speed).max(axis=1), np.inf)
+        tour.append(plans[int(times.argmin())])
+        at, is_left = tour[-1].end, is_left & (seams != seams[int(times.argmin())])
+    return tour
+
+
+def travel(tour: list, home: np.ndarray | None, speed: np.ndarray) -> tuple[float, float, int]:
+    """Return time [s], joint length [rad] and number of turns of the straight air moves of a tour.
+
+    A turn is an air move on which a joint moves by more than TURN_RAD.
+    """
+    first = [plan.start for plan in tour]
+    last = [plan.end for plan in tour]
+    if home is not None:
+        first, last = [*first, home], [home, *last]
+    else:
+        first, last = first[1:], last[:-1]
+    steps = np.abs(np.array(first) - np.array(last))
+    length = np.linalg.norm(steps, axis=1).sum()
+    return (steps / speed).max(axis=1).sum(), length, int((steps.max(axis=1) > TURN_RAD).sum())
+
+
+def solve_job(file: str, tenfold: int) -> None:
+    """Print a row for each order of a job's seams, and how much longer the first one is than the shortest."""
+    chosen = jobs.load_config(file)
+    chosen, robot = jobs.build.with_robot(chosen, file)
+    found = jobs.seam_scenarios.seam_scenarios(chosen, robot)
+    obstacles, task = jobs.build.obstacles_of(chosen.cell, robot), jobs.build.task_of_job(chosen, robot)
+    problem = Problem.of(robot, found.workpiece, found.scenarios, chosen.settings, task, obstacles)
+    home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
+    speed, used = api.joint_speeds(robot, chosen), time.process_time()
+    plans = sequencing.plan_seams(problem, found.variants, home, speed, methods.find(chosen.method)).found
+    seams = found.variants.seam[[plan.variant for plan in plans]]
+    print(f"{len(plans)} plans of {len(np.unique(seams))} seams, {time.process_time() - used:.1f} s of processor time")
+    moves, times = sequencing.moves_between(problem, plans, home, speed), list[float]()
+    time_s, length, turns = travel(nearest_tour(seams, plans, home, speed), home, speed)
+    print(f"nearest neighbours, straight, not proven: air moves {time_s:.3f} s, {length:.2f} rad, {turns} turns")
+    for seed in range(-1, tenfold):
+        used, effort = time.process_time(), sequencing.ORDER_EFFORT * (1 if seed < 0 else 10)
+        order = sequencing.find_sequence(seams, plans, found.before, moves, max(seed, 0), effort=effort)
+        times.append(order.cost_s)
+        legs = [each.time_s for each in (*order.moves, order.retract) if each is not None]
+        _, length, turns = travel(order.visits, home, speed)
+        print(
+            f"effort {effort:g}, seed {max(seed, 0)}: {len(order.visits)} seams, {order.cost_s:.3f} s, "
+            f"air moves {sum(legs):.3f} s, straight {length:.2f} rad, {turns} turns, "
+            f"{100 * (order.cost_s / order.bound_s - 1):.2f} % above the bound, "
+            f"{time.process_time() - used:.1f} s of processor time",
+            flush=True,
+        )
+    if tenfold:
+        print(f"the first order is {100 * (times[0] / min(times) - 1):.2f} % above the shortest")
+
+
 def main() -> None:
     """Print a row for each order, and a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -77,8 +145,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10, help="of seams; points have one")
     parser.add_argument("--effort", type=float, default=10.0)
     parser.add_argument("--tenfold", type=int, default=0, help="seeds with ten times the effort")
+    parser.add_argument("--job", help="a job with several seams, instead of generated ones")
     options = parser.parse_args()
     print(hardware.line(), hardware.version("ortools"), sep=", ")
+    if options.job is not None:
+        solve_job(options.job, options.tenfold)
+        return
     for kind in ("seams", "points"):
         if options.only not in (None, kind):
             continue

@@ -532,11 +532,12 @@ def _plan_seams(
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
     problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
     began = time.perf_counter()
-    plans = sequencing.plan_seams(problem, found.variants, method, progress)
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
+    speed = joint_speeds(robot, job)
+    plans = sequencing.plan_seams(problem, found.variants, home, speed, method, progress)
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
-    speed = _joint_speeds(robot, job)
-    sequence = sequencing.find_sequence(problem, seams, plans.found, found.before, home, speed, progress)
+    moves, seed = sequencing.moves_between(problem, plans.found, home, speed), job.settings.seed
+    sequence = sequencing.find_sequence(seams, plans.found, found.before, moves, seed, progress)
     done = [visit.variant for visit in sequence.visits]
     missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))
     lost = {s: plans.best.get(s) or sequencing.not_joined(problem, found.variants, s) for s in missing}
@@ -550,7 +551,7 @@ def _plan_seams(
     return Plan(job, robot, workpiece, scenario, made, all_obstacles, device, order)
 
 
-def _joint_speeds(robot: Robot, job: PlanConfig) -> Float[np.ndarray, "N"]:
+def joint_speeds(robot: Robot, job: PlanConfig) -> Float[np.ndarray, "N"]:
     """Return the full speeds of the joints [rad/s or m/s]; 1 where neither the job nor the model limits them."""
     speed = np.array(job.program.velocity or trajectory.own_rates(robot)["velocity"], float)
     speed = np.broadcast_to(speed, (len(robot.joint_names),))

@@ -13,12 +13,16 @@ import toy
 import yaml
 from test_json_schemas import fits
 
+from htcp_jax import sequencing
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build, load_config, seam_scenarios
 from htcp_jax.jobs.seam_paths import points_of_seams, with_seams_of_files
 from htcp_jax.model.path_frames import tangents
+from htcp_jax.motion import Problem, motion
+from htcp_jax.planning import methods
 from htcp_jax.runs import open_plans
+from htcp_jax.runs.seam_order import SeamOrder
 from htcp_jax.status import Kind
 from htcp_jax.viewer import draw_plan
 
@@ -283,6 +287,62 @@ def test_a_closed_seam_begins_and_ends_at_the_same_row(tmp_path):
     job = load_config(write_job(tmp_path, LEFT | {"closed": True, "begins_at": 2}))
     xyz = points_of_seams(with_seams_of_files(job.workpiece)).points.xyz
     np.testing.assert_allclose(xyz, toy.workpiece().path[[2, 3, 4, 0, 1, 2]])
+
+
+def plans_of(folder, *seams, **changes):
+    """Return the variants and the proven motions of a job's seams, and the progress while they were planned."""
+    job, robot = build.with_robot(load_config(write_job(folder, *seams, **changes)), "job")
+    found, seen = seam_scenarios.seam_scenarios(job, robot), []
+    task, obstacles = build.task_of_job(job, robot), build.obstacles_of(job.cell, robot)
+    problem = Problem.of(robot, found.workpiece, found.scenarios, job.settings, task, obstacles)
+    home, speed = np.asarray(problem.scenarios.x_home[0]), np.ones(len(robot.joint_names))
+    made = sequencing.plan_seams(problem, found.variants, home, speed, methods.find(job.method), seen.append)
+    moves = sequencing.moves_between(problem, made.found, home, speed)
+    return found, made.found, moves, seen
+
+
+def test_one_direction_of_a_seam_is_planned_from_home_and_its_motions_serve_both(tmp_path):
+    found, plans, _, seen = plans_of(tmp_path, LEFT, RIGHT)
+    assert seen[0].scenarios == 2
+    ends = {(plan.variant, plan.start.tobytes(), plan.end.tobytes()) for plan in plans}
+    reverse = found.variants.reverse
+    assert {variant for variant, *_ in ends} == {0, 1, 2, 3}
+    assert {(int(reverse[variant]), end, start) for variant, start, end in ends} == ends
+
+
+def test_a_motion_backwards_passes_the_via_points_of_inserted_goals_backwards(tmp_path):
+    ends = [{**LEFT, "path": "long.csv", "rows": [0, 2]}, RIGHT]
+    np.savetxt(tmp_path / "long.csv", toy.workpiece().path[[0, 4]], delimiter=",")
+    _, plans, _, _ = plans_of(tmp_path, *ends)
+    forward, backward = ([plan for plan in plans if plan.variant == v] for v in (0, 1))
+    whole = {motion.motions(plan.plans, 0).x[1:].tobytes() for plan in forward}
+    assert any(len(plan.plans.via_points.x) for plan in forward)
+    assert {motion.motions(plan.plans, 0).x[:0:-1].tobytes() for plan in backward} & whole
+
+
+def test_a_point_has_one_direction(tmp_path):
+    found, plans, _, _ = plans_of(tmp_path, LEFT | {"points": True})
+    assert set(found.variants.seam[[plan.variant for plan in plans]]) == set(range(5))
+    assert not any(plan.variant % 2 for plan in plans)
+
+
+def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves_none_again(tmp_path):
+    found, plans, moves, _ = plans_of(tmp_path, LEFT, RIGHT)
+    seams, seen = found.variants.seam[[plan.variant for plan in plans]], []
+    order = sequencing.find_sequence(seams, plans, found.before, moves, 0, seen.append)
+    assert seen[-1].targets_tracked == seen[-1].targets > 0
+    seen.clear()
+    again = sequencing.find_sequence(seams, plans, found.before, moves, 0, seen.append, effort=1.0)
+    assert not seen
+    assert again.cost_s == pytest.approx(order.cost_s)
+    legs = [leg.time_s for leg in (*again.moves, again.retract)]
+    steps = [np.abs(np.diff(motion.motions(plan.plans, 0).x, axis=0)).max(axis=1) for plan in again.visits]
+    assert again.cost_s == pytest.approx(sum(legs) + sum(each.sum() for each in steps))
+
+
+def test_the_stated_gap_compares_an_order_with_its_lower_bound():
+    assert "at most 25.0 % above the shortest order" in SeamOrder((), {}, 5.0, 4.0).facts()["order"]
+    assert "no lower bound" in SeamOrder((), {}, 5.0, 0.0).facts()["order"]
 
 
 def test_tangents_do_not_cross_from_seam_to_seam():

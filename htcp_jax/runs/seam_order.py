@@ -70,8 +70,13 @@ class SeamOrder(NamedTuple):
     def facts(self) -> dict[str, str]:
         """Return the order as text by label."""
         done = ", ".join(f"{visit.name} ({visit.direction})" for visit in self.visits) or "no seam"
-        gap = 100 * (1 - self.bound_s / self.time_s) if self.time_s else 0.0
-        least = "no order of these plans is shorter" if gap < 0.05 else f"at most {gap:.1f} % above the shortest order"
+        above = 100 * (self.time_s / self.bound_s - 1) if self.bound_s else 0.0
+        if self.time_s > self.bound_s == 0:
+            least = "no lower bound is known"
+        elif above >= 0.05:
+            least = f"at most {above:.1f} % above the shortest order"
+        else:
+            least = "no order of these plans is shorter"
         count = f"{len(self.visits)} of {len(self.visits) + len(self.missing)}"
         return {"seams": f"{count}: {done}", "order": f"{self.time_s:.3g} s at the joints' full speed; {least}"}
 

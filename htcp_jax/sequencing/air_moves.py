@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.device import devices
-from htcp_jax.motion import Problem, joint_search
+from htcp_jax.device import tables
+from htcp_jax.motion import CollisionChecker, Problem, joint_search
 
 FIRST_PAIR = 1_000_000  # number of the first pair, which seeds its random numbers; those from home are smaller
 
@@ -37,9 +37,8 @@ class AirMoves:
         configurations: Float[np.ndarray, "n N"],
         home: Float[np.ndarray, "N"] | None,
         speed: Float[np.ndarray, "N"],
-        report: Callable[[int], None] = lambda joined: None,
     ):
-        self._problem, self.speed, self._report = problem, speed, report
+        self._problem, self.speed = problem, speed
         self.home = None if home is None else len(configurations)
         self.configurations = configurations if home is None else np.concatenate([configurations, home[None]])
         self._known: dict[tuple[int, int], AirMove | None] = {}
@@ -48,12 +47,17 @@ class AirMoves:
         """Return a lower bound on the time between configurations, given by their rows: that of the straight path."""
         return (np.abs(self.configurations[a] - self.configurations[b]) / self.speed).max(axis=-1)
 
-    def find(self, pairs: Iterable[tuple[int, int]]) -> None:
-        """Join pairs of configurations, given by their rows; those that are known already are not joined again."""
-        new = self._join({_sorted(pair) for pair in pairs})
+    def find(self, pairs: Iterable[tuple[int, int]], report: Callable[[int], None] = lambda joined: None) -> None:
+        """Join pairs of configurations, given by their rows; those that are known already are not joined again.
+
+        Args:
+            pairs: The pairs.
+            report: Function that is called again and again, on any thread, with the number of pairs newly joined.
+        """
+        new = self._join({_sorted(pair) for pair in pairs}, report)
         if self.home is not None:
             legs = {_sorted((end, self.home)) for pair in new if self._known[pair] is None for end in pair}
-            self._join(legs)
+            self._join(legs, report)
 
     def between(self, a: int, b: int) -> AirMove | None:
         """Return the air move from one configuration to another, through home if necessary; None if none is known."""
@@ -66,28 +70,32 @@ class AirMoves:
         home = self.configurations[self.home][None]
         return AirMove(np.concatenate([to.via_points, home, back.via_points]), to.time_s + back.time_s)
 
+    @property
+    def known(self) -> list[tuple[int, int]]:
+        """Pairs that have been joined, or for which the attempt has failed, by row."""
+        return list(self._known)
+
     def is_known(self, a: int, b: int) -> bool:
         """Return True if the pair has been joined, or the attempt has failed."""
         return _sorted((a, b)) in self._known
 
-    def _join(self, pairs: set[tuple[int, int]]) -> list[tuple[int, int]]:
+    def _join(self, pairs: set[tuple[int, int]], report: Callable[[int], None]) -> list[tuple[int, int]]:
         """Join those pairs that are not known, and return them."""
         new = sorted(pair for pair in pairs if pair not in self._known)
         if not new:
             return new
         a, b = np.array(new).T
-        count, checker = len(self.configurations), self._problem.checkers[0]
-        with devices.on(checker.executor.device):
-            found = joint_search.join(
-                checker,
-                self._problem.scenarios,
-                np.zeros(len(new), int),
-                FIRST_PAIR + a * count + b,
-                self.configurations[a],
-                self.configurations[b],
-                self._problem.settings,
-                report=self._report,
-            )
+        number = FIRST_PAIR + a * len(self.configurations) + b
+        scenarios = tables.gather(self._problem.scenarios, np.zeros(len(new), int))  # one each, which counts the pairs
+
+        def join(checker: CollisionChecker, share: slice) -> list[np.ndarray | None]:
+            rows, ends = np.arange(len(new))[share], (self.configurations[a[share]], self.configurations[b[share]])
+            settings = self._problem.settings
+            return joint_search.join(checker, scenarios, rows, number[share], *ends, settings, report=report)
+
+        threads = min(self._problem.threads, len(new))
+        parts = self._problem.in_threads(join, threads)
+        found = [parts[k % threads][k // threads] for k in range(len(new))]
         for pair, via_points in zip(new, found, strict=True):
             self._known[pair] = None if via_points is None else AirMove(via_points, self._time_s(pair, via_points))
         return new

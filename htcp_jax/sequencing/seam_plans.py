@@ -1,27 +1,31 @@
 """Plans of each seam of a part, from several configurations at either of its ends.
 
-Each seam has variants: its rows in one direction of travel, for a closed seam also from other rows. For each variant,
-configurations far apart from each other are sampled at its first target, and the seam is planned from each of them. It
-is also planned from home, so that a seam that a job of its own would complete is completed here. If the task is the
-same in both directions, a proven motion is one in the other direction, too.
+Each seam has variants: its rows in one direction of travel, for a closed seam also from other rows. If the task is the
+same in both directions, a proven motion is one in the other direction, too, so one of the two directions is planned.
+
+A seam is first planned from home, so that a seam that a job of its own would complete is completed here. Then it is
+planned from configurations at either end from which short air moves lead to the other seams: the arm should do all
+seams in similar configurations. They are chosen among random configurations and among those that are nearest to home
+and to the ends of the other seams' plans.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.device import devices
+from htcp_jax.device import devices, tables
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Plans, Problem, ViaPoints, configurations, transfers
 from htcp_jax.planning import Method, batch
+from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
-STARTS = 3  # maximum number of configurations from which a variant is planned
-ROUNDS, FIRST_ROUND = 2, 200  # rounds of sampled configurations, and the number of the first one
+MOST_ENDS = 64  # ends of plans to which a configuration is compared
+SAMPLES_ROUND = 200  # number of the round of random configurations
+NO_SEAM = -1  # number of home among the seams
 SAME_RAD = 1e-3  # plans whose first and last configurations differ by less count as one
 
 
@@ -51,44 +55,58 @@ class SeamPlans(NamedTuple):
 
 
 def plan_seams(
-    problem: Problem, variants: Variants, method: Method, progress: Callable[[batch.Progress], None] | None = None
+    problem: Problem,
+    variants: Variants,
+    home: Float[np.ndarray, "N"] | None,
+    speed: Float[np.ndarray, "N"],
+    method: Method,
+    progress: Callable[[batch.Progress], None] | None = None,
 ) -> SeamPlans:
     """Return the proven motions along all seams.
-
-    All variants are planned from home. Those of seams for which this succeeds are planned from other configurations,
-    too, without searches after dead ends.
 
     Args:
         problem: The problem; its scenarios are the variants.
         variants: The seams and directions of the variants.
+        home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
+        speed: Full speeds of the joints [rad/s or m/s].
         method: The planning method.
         progress: See `batch.plan`.
     """
-    every, scenarios = problem.to_plan, problem.scenarios
+    scenarios, seam, every = problem.scenarios, variants.seam, np.arange(len(variants.seam))
+    reversible = np.array([_is_reversible(scenarios, v, int(r)) for v, r in enumerate(variants.reverse)], bool)
+    is_second = reversible & (variants.reverse < every)  # planned from home only if its reverse does not serve it
+    is_point = scenarios.count == scenarios.on_path + 1
+    usable = np.isin(every, problem.to_plan) & (reversible | variants.is_allowed) & ~(is_point & is_second)
     nothing = problem.empty_plans()
-    best = {int(seam): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, seam in enumerate(variants.seam)}
-    if not len(every):
-        return SeamPlans([], best, 0.0)
-    from_home = jax.tree.map(lambda leaf: leaf[every], scenarios)
-    found = _plans(replace(problem, scenarios=_numbered(from_home, 0)), every, method, progress, "")
-    compile_s = found[0].plans.compile_s
-    for plan in found:
-        seam = int(variants.seam[plan.variant])
-        if plan.plans.executable.sum() >= best[seam].executable.sum():
-            best[seam] = plan.plans
-    found = [plan for plan in found if plan.plans.outcome(0).can_be_driven]
-    done = {int(variants.seam[plan.variant]) for plan in found}
-    variant, x = _starts(problem, every[np.isin(variants.seam[every], sorted(done))])
-    if len(variant):
-        begun = jax.tree.map(lambda leaf: leaf[variant], scenarios)
-        begun = replace(begun, x_start=x, x_home=x.copy(), auto_start=np.zeros(len(variant), bool))
-        settings = replace(problem.settings, transfers=False, effort=0.0)
-        further = replace(problem, scenarios=_numbered(begun, len(every)), settings=settings)
-        made = _plans(further, variant, method, progress, "; from other configurations")
-        found += [plan for plan in made if plan.plans.outcome(0).can_be_driven]
-        compile_s += made[0].plans.compile_s
-    lost = {seam: plan for seam, plan in best.items() if seam not in done}
-    return SeamPlans(_both_directions(problem, variants, found), lost, compile_s)
+    best = {int(s): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, s in enumerate(seam)}
+    found, done, compile_s, number = list[SeamPlan](), np.zeros(len(seam), bool), 0.0, 0
+
+    def add(rows: np.ndarray, begun: Scenario, settings: Settings, phase: str) -> list[SeamPlan]:
+        nonlocal compile_s, number, done
+        numbered = replace(begun, number=number + np.arange(len(rows), dtype=begun.number.dtype))
+        made = _plans(replace(problem, scenarios=numbered, settings=settings), rows, method, progress, phase)
+        compile_s, number = compile_s + made[0].plans.compile_s, number + len(rows)
+        driven = [plan for plan in made if plan.plans.outcome(0).can_be_driven]
+        found.extend(plan for plan in driven if variants.is_allowed[plan.variant] or _can_be_reversed(plan))
+        done = np.isin(seam, seam[[plan.variant for plan in found]])
+        return made
+
+    for chosen in (usable & ~is_second, usable & is_second):
+        turned = [int(variants.reverse[plan.variant]) for plan in found if _can_be_reversed(plan)]
+        rows = np.flatnonzero(chosen & ~np.isin(every, turned) & (variants.is_allowed | ~done))
+        for plan in add(rows, tables.gather(scenarios, rows), problem.settings, "") if len(rows) else []:
+            own = int(seam[plan.variant])
+            if plan.plans.executable.sum() >= best[own].executable.sum():
+                best[own] = plan.plans
+    lost = {s: plan for s, plan in best.items() if s not in seam[done]}
+    if not len(rows := np.flatnonzero(usable & done)):
+        return SeamPlans([], lost, compile_s)
+    samples, settings = _Configurations.sampled(problem, rows), replace(problem.settings, transfers=False, effort=0.0)
+    rows, x = _starts(problem, samples, seam, found, home, speed)
+    begun = replace(tables.gather(scenarios, rows), x_start=x, x_home=x.copy(), auto_start=np.zeros(len(x), bool))
+    if len(x):
+        add(rows, begun, settings, "; from other configurations")
+    return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
 
 
 def _plans(
@@ -103,11 +121,6 @@ def _plans(
     plans, on_path = batch.plan(problem, method, report), problem.scenarios.on_path
     own = [_on_path(plans.rows([row]), on_path[row]) for row in range(len(variant))]
     return [SeamPlan(v, each, each.x[0, 0], each.x[0, -1]) for v, each in zip(variant.tolist(), own, strict=True)]
-
-
-def _numbered(scenarios: Scenario, first: int) -> Scenario:
-    """Return the scenarios with consecutive numbers, from which random keys are derived."""
-    return replace(scenarios, number=first + np.arange(len(scenarios.number), dtype=scenarios.number.dtype))
 
 
 def _on_path(plan: Plans, on_path: np.integer) -> Plans:
@@ -131,33 +144,69 @@ def _with_first_repeated(plan: Plans) -> Plans:
     return plan._replace(**found, via_points=plan.via_points._replace(target=plan.via_points.target + 1))
 
 
-def _starts(problem: Problem, rows: np.ndarray) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
-    """Return configurations at the first targets of some variants, far apart from each other, and their variants."""
-    settings = problem.settings
-    variant, x, clearance = (np.empty(0, int), np.empty((0, problem.scenarios.x_start.shape[1])), np.empty(0))
-    checker = problem.checkers[0]
-    with devices.on(checker.executor.device):
-        for round_ in range(ROUNDS):
-            missing = rows[np.bincount(variant, minlength=len(problem.scenarios.number))[rows] < STARTS]
-            if not len(missing):
-                break
-            at, lane = transfers.other_configurations(problem, checker, missing, FIRST_ROUND + round_)
-            variant, x, clearance = (
-                np.concatenate(both)
-                for both in ((variant, missing[lane]), (x, at.x), (clearance, np.asarray(at.clearance)))
-            )
-    order = np.lexsort((-clearance, variant))
+class _Configurations(NamedTuple):
+    """Valid configurations at the first targets of variants."""
+
+    variant: Int[np.ndarray, "n"]
+    x: Float[np.ndarray, "n N"]  # [rad or m]
+
+    @classmethod
+    def sampled(cls, problem: Problem, variant: Int[np.ndarray, "_"]) -> "_Configurations":
+        """Return random configurations of some variants."""
+        checker = problem.checkers[0]
+        with devices.on(checker.executor.device):
+            at, lane = transfers.other_configurations(problem, checker, variant, SAMPLES_ROUND)
+        return cls(variant[lane], at.x)
+
+    @classmethod
+    def near(cls, problem: Problem, variant: Int[np.ndarray, "_"], x: Float[np.ndarray, "m N"]) -> "_Configurations":
+        """Return those configurations of some variants that are near some other configurations [rad or m]."""
+        checker, lane, x = problem.checkers[0], np.repeat(variant, len(x)), np.tile(x, (len(variant), 1))
+        with devices.on(checker.executor.device):
+            at = transfers.projected(problem, checker, lane, 0, x)
+            valid = checker.valid(problem.inputs(lane, 0), at)
+        return cls(lane[valid], at.x[valid])
+
+
+def _starts(
+    problem: Problem,
+    samples: _Configurations,
+    seam: Int[np.ndarray, "V"],
+    found: Sequence[SeamPlan],
+    home: Float[np.ndarray, "N"] | None,
+    speed: Float[np.ndarray, "N"],
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n N"]]:
+    """Return for each variant the configuration with the shortest air moves to other seams and home, and its variant.
+
+    What counts is the mean time to the nearest end of each other seam's plans. Configurations at which plans begin
+    already are excluded. Of very many ends, some that are chosen at random are considered.
+    """
+    ends, of = (
+        np.array([x for plan in found for x in (plan.start, plan.end)]),
+        seam[[p.variant for p in found]].repeat(2),
+    )
+    some = np.random.default_rng(problem.settings.seed).permutation(len(ends))[:MOST_ENDS]
+    ends, of = ends[some], of[some]
+    if home is not None:
+        ends, of = np.concatenate([ends, home[None]]), np.append(of, NO_SEAM)
+    near = _Configurations.near(problem, np.unique(samples.variant), ends)
+    variant, x = (np.concatenate(both) for both in zip(samples, near, strict=True))
+    times = np.stack([(np.abs(x - end) / speed).max(axis=1) for end in ends], axis=1)
+    seams = np.unique(of)
+    nearest = np.stack([times[:, of == each].min(axis=1) for each in seams], axis=1)
+    order = np.lexsort((np.where(seam[variant][:, None] == seams, 0.0, nearest).sum(axis=1), variant))
     variant, x = variant[order], x[order]
-    kept = configurations.dispersed(x, variant, STARTS, settings.beam_separation_rad)
+    known = np.array([plan.start for plan in found]), np.array([plan.variant for plan in found])
+    kept = configurations.dispersed(x, variant, len(x), problem.settings.beam_separation_rad, known)
+    kept = kept[np.diff(variant[kept], prepend=-1) > 0]
     return variant[kept], x[kept]
 
 
-def _both_directions(problem: Problem, variants: Variants, found: list[SeamPlan]) -> list[SeamPlan]:
+def _both_directions(variants: Variants, reversible: Bool[np.ndarray, "V"], found: list[SeamPlan]) -> list[SeamPlan]:
     """Return the plans in all allowed directions, without those that are nearly equal."""
-    reversible = [_is_reversible(problem.scenarios, v, int(r)) for v, r in enumerate(variants.reverse)]
     every = list(found)
     for each in found:
-        if reversible[each.variant] and not len(each.plans.via_points.x):
+        if reversible[each.variant] and _can_be_reversed(each):
             every.append(_reversed(each, int(variants.reverse[each.variant])))
     kept = dict[int, list[SeamPlan]]()
     for each in every:
@@ -179,12 +228,19 @@ def _is_reversible(scenarios: Scenario, variant: int, reverse: int) -> bool:
     return bool(np.allclose(a, b[::-1], rtol=0, atol=1e-12))
 
 
+def _can_be_reversed(plan: SeamPlan) -> bool:
+    """Return False if the arm changes its configuration at a target: backwards, this is no dwell before a segment."""
+    return bool((plan.plans.via_points.share > 0).all())
+
+
 def _reversed(plan: SeamPlan, variant: int) -> SeamPlan:
-    """Return the same motion backwards; the plan must have no via points."""
+    """Return the same motion backwards."""
     found = {name: array[:, ::-1] for name, array in plan.plans.arrays().items() if name != "start"}
     for name in ("segment_status", "segment_clearance", "path_clear", "joint_step"):  # those of the segment before
         found[name] = np.roll(found[name], 1, axis=1)
-    own = plan.plans._replace(start=plan.end[None], **found)
+    scenario, target, x, share = (column[::-1] for column in plan.plans.via_points)
+    via_points = ViaPoints(scenario, (plan.plans.status.shape[1] - target).astype(target.dtype), x, 1.0 - share)
+    own = plan.plans._replace(start=plan.end[None], via_points=via_points, **found)
     return SeamPlan(variant, own, plan.end, plan.start)
 
 

@@ -7,6 +7,7 @@ times, and the order is found again, until all air moves in it are proven. Last,
 plans is found with the lower bounds of the air moves that are not proven.
 """
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -33,48 +34,56 @@ class SeamSequence(NamedTuple):
     bound_s: float  # lower bound on this time for all orders of the same plans
 
 
+def moves_between(
+    problem: Problem, plans: Sequence[SeamPlan], home: Float[np.ndarray, "N"] | None, speed: Float[np.ndarray, "N"]
+) -> AirMoves:
+    """Return the air moves between the ends of plans and home, none of which is proven yet.
+
+    Args:
+        problem: The problem; its first scenario has the margins of transfers.
+        plans: Proven motions along the seams.
+        home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
+        speed: Full speeds of the joints [rad/s or m/s].
+    """
+    return AirMoves(problem, _ends(plans)[0] if plans else np.empty((0, len(speed))), home, speed)
+
+
 def find_sequence(
-    problem: Problem,
     seams: Int[np.ndarray, "P"],
     plans: Sequence[SeamPlan],
     before: Sequence[tuple[int, int]],
-    home: Float[np.ndarray, "N"] | None,
-    speed: Float[np.ndarray, "N"],
+    moves: AirMoves,
+    seed: int,
     progress: Callable[[Progress], None] | None = None,
+    effort: float = ORDER_EFFORT,
 ) -> SeamSequence:
     """Return the shortest order of seams that is found, with proven air moves.
 
     A seam to which no air move leads is skipped.
 
     Args:
-        problem: The problem; its first scenario has the margins of transfers.
         seams: Number of the seam of each plan.
         plans: Proven motions along the seams.
         before: Pairs of seams, the first of which must be done before the second.
-        home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
-        speed: Full speeds of the joints [rad/s or m/s].
+        moves: The air moves between the ends of the plans; those that are needed are proven.
+        seed: Seed of the search for an order.
         progress: See `batch.plan`; here it counts the air moves of the current order.
+        effort: Work for each order, about the seconds on one core [s].
     """
     if not len(plans):
         return SeamSequence([], [], None, 0.0, 0.0)
-    nodes, report = _nodes(seams, plans, speed), _Report(progress)
-    moves = AirMoves(problem, nodes.configurations, home, speed, report.add)
-    cost = _least_times(moves)
-    is_known, least, ratio = np.zeros(cost.shape, bool), cost.copy(), 1.0
-    best, hint, seed = (np.inf, list[int]()), None, problem.settings.seed
+    nodes, report = _nodes(seams, plans, moves), _Report(progress)
+    least = _least_times(moves)
+    cost, is_known, ratio = _times(moves, least)
+    best, hint = (np.inf, list[int]()), None
     for number in range(1, ROUNDS + 1):
-        estimate = np.where(is_known, cost, ratio * cost)
-        order = _order(nodes, estimate, moves.home, before, seed, ORDER_EFFORT, hint)
+        order = _order(nodes, np.where(is_known, cost, ratio * cost), moves.home, before, seed, effort, hint)
         pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
-        report.begin(number, len(new))
-        moves.find(new)
-        for a, b in new:
-            move = moves.between(a, b)
-            cost[a, b] = cost[b, a] = np.inf if move is None else move.time_s
-            is_known[a, b] = is_known[b, a] = True
-        finite = is_known & np.isfinite(cost) & (least > 0)
-        ratio = float(np.median(cost[finite] / least[finite])) if finite.any() else 1.0
+        if new:
+            report.begin(number, len(new))
+            moves.find(new, report.add)
+            cost, is_known, ratio = _times(moves, least)
         time_s = float(nodes.own_s[order.nodes].sum() + sum(cost[pair] for pair in pairs))
         best = min(best, (time_s, order.nodes), key=lambda each: each[0])
         if not new:
@@ -116,7 +125,7 @@ class _Report:
     """Progress of the orders and their air moves."""
 
     def __init__(self, progress: Callable[[Progress], None] | None):
-        self._progress, self._now = progress, Progress(0, 0, 0, 0)
+        self._progress, self._now, self._lock = progress, Progress(0, 0, 0, 0), threading.Lock()
 
     def begin(self, number: int, moves: int) -> None:
         """Begin the air moves of an order."""
@@ -124,10 +133,11 @@ class _Report:
         self.add(0)
 
     def add(self, joined: int) -> None:
-        """Count air moves that are found."""
-        self._now = self._now._replace(targets_tracked=self._now.targets_tracked + joined)
-        if self._progress is not None:
-            self._progress(self._now)
+        """Count air moves that are found; may be called on any thread."""
+        with self._lock:
+            self._now = self._now._replace(targets_tracked=self._now.targets_tracked + joined)
+            if self._progress is not None:
+                self._progress(self._now)
 
 
 class _Nodes(NamedTuple):
@@ -135,24 +145,44 @@ class _Nodes(NamedTuple):
 
     seam: Int[np.ndarray, "P"]
     own_s: Float[np.ndarray, "P"]  # times along the seams
-    configurations: Float[np.ndarray, "n N"]  # all ends of plans, without repetitions [rad or m]
-    begin: Int[np.ndarray, "P"]  # row of each plan's first configuration
+    begin: Int[np.ndarray, "P"]  # row of each plan's first configuration in `AirMoves.configurations`
     end: Int[np.ndarray, "P"]  # row of its last one
 
 
-def _nodes(seams: np.ndarray, plans: Sequence[SeamPlan], speed: np.ndarray) -> _Nodes:
+def _nodes(seams: np.ndarray, plans: Sequence[SeamPlan], moves: AirMoves) -> _Nodes:
+    begin, end = _ends(plans)[1]
+    own = [motion.motions(plan.plans, 0).x for plan in plans]
+    own_s = [float((np.abs(np.diff(x, axis=0)) / moves.speed).max(axis=1, initial=0).sum()) for x in own]
+    return _Nodes(np.asarray(seams), np.array(own_s), begin, end)
+
+
+def _ends(plans: Sequence[SeamPlan]) -> tuple[Float[np.ndarray, "n N"], Int[np.ndarray, "2 P"]]:
+    """Return all ends of plans without repetitions [rad or m], and the rows of each plan's first and last one."""
     ends = np.concatenate([[plan.start for plan in plans], [plan.end for plan in plans]])
     configurations, row = np.unique(ends, axis=0, return_inverse=True)
-    begin, end = row.reshape(2, -1)
-    own = [motion.motions(plan.plans, 0).x for plan in plans]
-    own_s = [float((np.abs(np.diff(x, axis=0)) / speed).max(axis=1, initial=0).sum()) for x in own]
-    return _Nodes(np.asarray(seams), np.array(own_s), configurations, begin, end)
+    return configurations, row.reshape(2, -1)
 
 
 def _least_times(moves: AirMoves) -> Float[np.ndarray, "n n"]:
     """Return the least times between all configurations [s]."""
     rows = np.arange(len(moves.configurations))
     return np.stack([moves.least_time_s(row, rows) for row in rows])
+
+
+def _times(moves: AirMoves, least: Float[np.ndarray, "n n"]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return what is known about the times between all configurations.
+
+    Returns:
+        The times of air moves that are known, and lower bounds on all others (n, n) [s]; True for those known (n, n);
+        and the usual ratio of a known time to its lower bound.
+    """
+    cost, is_known = least.copy(), np.zeros(least.shape, bool)
+    for a, b in moves.known:
+        move = moves.between(a, b)
+        cost[[a, b], [b, a]] = np.inf if move is None else move.time_s
+        is_known[[a, b], [b, a]] = True
+    finite = is_known & np.isfinite(cost) & (least > 0)
+    return cost, is_known, float(np.median(cost[finite] / least[finite])) if finite.any() else 1.0
 
 
 def _order(

@@ -349,11 +349,15 @@ def _angles_hold_between(
 ) -> Bool[np.ndarray, "n"]:
     """Return a mask, True where the angles are as required at an end or in the middle of a segment.
 
-    In the middle, each angle may deviate from its centre by half of the rotation between the ends.
+    In the middle, each angle may deviate from its centre by half of the rotation between the ends, of the path's frame
+    and of the plates.
     """
     a, b = (place.axes for place in places)
     turn, still = _angle(a.frames, b.frames), np.zeros(len(arm.x))
-    plates = None if a.plates is None or b.plates is None else a.plates + b.plates
+    plates = None
+    if row.plate is not None:
+        plates = a.plates + b.plates
+        turn = turn + np.max([_angle(a.plates[:, k], b.plates[:, k]) for k in range(2)], axis=0)
     middle = PathAxes(_middle(a.frames, b.frames), plates)
     most = settings.tolerance_rad + ROUNDING_M
     rotation = arm.frames(row.axis_of[0])[1]
