@@ -20,7 +20,9 @@ from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.rows_of_spec import PlacedPath, angles_of
 from htcp_jax.spec import ToolAxisRow
-from htcp_jax.validation.tool_angle_check import PathAxes
+from htcp_jax.validation.records import data_of
+from htcp_jax.validation.task_check import part_between
+from htcp_jax.validation.tool_angle_check import path_axes
 from htcp_jax.validation.tool_angle_check import tool_angles as validated_angles
 from htcp_jax.viewer.angle_strip import draw_angles
 
@@ -159,7 +161,7 @@ def test_validation_measures_from_the_same_plate_as_the_goals_where_plates_are_n
     placed = PlacedPath(np.eye(3), np.zeros(3), part.path, part)
     for plate in ("plate_1", "plate_2"):
         row = ToolAxisRow("tcp.z", 45.0, work_angle_from=plate)
-        angles, _ = validated_angles(row, tools, PathAxes(frames, plates))
+        angles, _ = validated_angles(row, tools, path_axes(row, frames, plates))
         h, x = -tools[:, :, 2], tools[:, :, 0]
         value = np.concatenate([h, x, np.cross(h, x)], axis=1)
         off = angles_of(row, value, placed) - angles
@@ -257,3 +259,20 @@ def test_a_picture_shows_limited_angles_with_their_ranges():
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["work angle", "travel angle"]
     boxes = [band.get_datalim(axes.transData).extents.tolist() for band in axes.collections]
     assert boxes == [[-0.5, 13.0, 2.5, 17.0], [2.5, 5.0, 4.5, 6.0]]
+
+
+def test_between_points_validation_has_the_same_zero_of_a_plates_angle_as_inserted_goals(tmp_path):
+    """In a corner, where the plates and the path turn by different angles."""
+    rows = ["1.0,0.0,0.5,0,0,1,-1,0,0", "1.0,0.01,0.5,0,0,1,-1,0,0", "1.01,0.01,0.5,0,0,1,0,1,0"]
+    (tmp_path / "corner.csv").write_text("\n".join(["x,y,z,n1x,n1y,n1z,n2x,n2y,n2z", *rows]) + "\n")
+    row = {"tool_axis": "tcp.z", "work_angle_deg": [40, 50], "work_angle_from": "plate_1"}
+    job = load_config({"task": [ON_PATH, row], "workpiece": {"cloud": "none", "path": str(tmp_path / "corner.csv")}})
+    robot, part, scenario = scene(job)
+    goals = scenario.task_goals[-2:, 3:][None]
+    (half,) = task_of_job(job, robot).parts[1].interpolated(goals, np.array([0.3]))
+    T = scenario.T_world_workpiece
+    place = part_between(job.task, T[:3, :3], T[:3, 3], data_of(part), np.array([2]), np.array([0.3]))
+    axes = place.axes(job.task[1])
+    np.testing.assert_allclose(axes.frames[0], half[:9].reshape(3, 3), atol=1e-12)
+    bounds = np.sort(axes.zero + axes.sense * np.deg2rad([40, 50]))
+    np.testing.assert_allclose(bounds, half[9:11], atol=1e-12)

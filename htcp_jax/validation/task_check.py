@@ -28,7 +28,7 @@ from htcp_jax.spec import (
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.result import ROUNDING_M
 from htcp_jax.validation.scene_rules import WorkpieceData
-from htcp_jax.validation.tool_angle_check import PathAxes, angle_deviations
+from htcp_jax.validation.tool_angle_check import PathAxes, angle_deviations, path_axes
 
 
 class RowCheck(NamedTuple):
@@ -61,6 +61,15 @@ class RowCheck(NamedTuple):
         return self.off is None
 
 
+class Between(NamedTuple):
+    """Places between points of a path, whose directions are interpolated."""
+
+    frames: Float[np.ndarray, "n 3 3"]  # orientations of the path's frame, in the part
+    ends: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]  # points before and after
+    share: Float[np.ndarray, "n"]  # 0 at the point before, 1 at the point after
+    workpiece: WorkpieceData  # with the points
+
+
 class PartPose(NamedTuple):
     """Pose of the part, and indices of n points on its path."""
 
@@ -68,14 +77,23 @@ class PartPose(NamedTuple):
     translate: Float[np.ndarray, "3"]  # [m]
     workpiece: WorkpieceData
     point: Int[np.ndarray, "n"]
-    between: Float[np.ndarray, "T 3 3"] | None = None  # orientations of the path's frame, if not `path_frames`
+    between: Between | None = None  # if the places are between points of the path
 
     @property
-    def axes(self) -> PathAxes:
-        """The path's frames and plates at the points."""
-        own = path_frames(self.workpiece) if self.between is None else self.between
-        plates = self.workpiece.plates
-        return PathAxes(self.rotate @ own[self.point], None if plates is None else plates[self.point] @ self.rotate.T)
+    def frames(self) -> Float[np.ndarray, "n 3 3"]:
+        """Orientations of the path's frame in the world at the points: x along the tangent, z along the normal."""
+        own = path_frames(self.workpiece) if self.between is None else self.between.frames
+        return self.rotate @ own[self.point]
+
+    def axes(self, row: ToolAxisRow) -> PathAxes:
+        """Return the directions from which a row's angles are measured."""
+        if self.between is None or row.plate is None:
+            plates = None if row.plate is None else self.workpiece.plates[self.point] @ self.rotate.T
+            return path_axes(row, self.frames, plates)
+        frames, plates = path_frames(self.between.workpiece), self.between.workpiece.plates
+        a, b = (path_axes(row, frames[end[self.point]], plates[end[self.point]]) for end in self.between.ends)
+        share = self.between.share[self.point]
+        return PathAxes(self.frames, (1 - share) * a.zero + share * b.zero, b.sense)
 
     def world(self, row: PointRow | AxisRow, vector: Sequence[float], is_place: bool = False) -> Float[np.ndarray, "3"]:
         """Return a position or direction that a row contains as numbers, transformed to the world.
@@ -140,11 +158,12 @@ def part_between(
     if "rotations" in uses and len(point):
         both = Rotation.from_matrix(rotations[after] @ np.swapaxes(rotations[before], 1, 2)).as_rotvec()
         rotations = Rotation.from_rotvec(share[:, None] * both).as_matrix() @ rotations[before]
-    frames = None
+    between = None
     if {"normals", "tangents"} <= uses and len(point):
         frames = path_frames(workpiece)
         both = Rotation.from_matrix(frames[after] @ np.swapaxes(frames[before], 1, 2)).as_rotvec()
         frames = Rotation.from_rotvec(share[:, None] * both).as_matrix() @ frames[before]
+        between = Between(frames, (before, after), share, workpiece)
     a, b = workpiece.path[before], workpiece.path[after]
     own = replace(
         workpiece,
@@ -152,11 +171,8 @@ def part_between(
         given_normals=turned(workpiece.normals) if "normals" in uses else None,
         given_tangents=turned(workpiece.tangents) if "tangents" in uses else None,
         rotations=rotations,
-        plates=np.stack([turned(each) for each in np.moveaxis(workpiece.plates, 1, 0)], axis=1)
-        if "plates" in uses
-        else None,
     )
-    return PartPose(rotate, translate, own, np.arange(len(point)), frames)
+    return PartPose(rotate, translate, own, np.arange(len(point)), between)
 
 
 def path_frames(workpiece: WorkpieceData) -> Float[np.ndarray, "T 3 3"]:
@@ -268,7 +284,7 @@ def follows_all(rows: Sequence[TaskRowKind]) -> bool:
 
 def _check_row(row: TaskRowKind, arm: PosedArm, place: PartPose, most_m: float, most_deg: float) -> RowCheck:
     if isinstance(row, ToolAxisRow):
-        exact, outside = np.rad2deg(angle_deviations(row, arm.frames(row.axis_of[0])[1], place.axes))
+        exact, outside = np.rad2deg(angle_deviations(row, arm.frames(row.axis_of[0])[1], place.axes(row)))
         return RowCheck(row, np.where(outside > 0, outside + most_deg, exact), np.full(len(arm.x), most_deg))
     off, limit = _deviation(row, arm, place), row.limit if isinstance(row, BuiltInRow) else None
     off = np.rad2deg(off) if row.angular and off is not None else off
@@ -349,16 +365,11 @@ def _angles_hold_between(
 ) -> Bool[np.ndarray, "n"]:
     """Return a mask, True where the angles are as required at an end or in the middle of a segment.
 
-    In the middle, each angle may deviate from its centre by half of the rotation between the ends, of the path's frame
-    and of the plates.
+    In the middle, each angle may deviate from its centre by half of the rotation between the ends.
     """
-    a, b = (place.axes for place in places)
-    turn, still = _angle(a.frames, b.frames), np.zeros(len(arm.x))
-    plates = None
-    if row.plate is not None:
-        plates = a.plates + b.plates
-        turn = turn + np.max([_angle(a.plates[:, k], b.plates[:, k]) for k in range(2)], axis=0)
-    middle = PathAxes(_middle(a.frames, b.frames), plates)
+    a, b = (place.axes(row) for place in places)
+    turn, still = _angle(a.frames, b.frames) + np.abs(b.zero - a.zero), np.zeros(len(arm.x))
+    middle = PathAxes(_middle(a.frames, b.frames), 0.5 * (a.zero + b.zero), a.sense)
     most = settings.tolerance_rad + ROUNDING_M
     rotation = arm.frames(row.axis_of[0])[1]
     off = [
@@ -395,7 +406,7 @@ def _off_place(row: PointRow, point: np.ndarray, place: PartPose) -> Float[np.nd
     else:
         off = point - place.world(row, row.on, True)
     if row.frame == "path":
-        off = np.einsum("nji,nj->ni", place.axes.frames, off)
+        off = np.einsum("nji,nj->ni", place.frames, off)
     elif row.frame == "workpiece":
         off = off @ place.rotate
     return off[:, ["xyz".index(letter) for letter in row.axes]]
@@ -427,7 +438,7 @@ def _required(row: AxisRow, arm: PosedArm, place: PartPose) -> Float[np.ndarray,
         on_part = place.workpiece.normals if name.endswith("normal") else place.workpiece.tangents
         return (-1.0 if name.startswith("-") else 1.0) * on_part[place.point] @ place.rotate.T
     if row.frame == "path":
-        return place.axes.frames @ np.array(row.towards)
+        return place.frames @ np.array(row.towards)
     direction = place.world(row, row.towards)
     return arm.from_world(direction) if row.frame == "world" else np.tile(direction, (len(arm.x), 1))
 

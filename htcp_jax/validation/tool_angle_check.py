@@ -10,10 +10,32 @@ from htcp_jax.validation.result import ROUNDING_M
 
 
 class PathAxes(NamedTuple):
-    """Directions at n places of the path, in the world."""
+    """Directions at n places of the path, from which a row's angles are measured."""
 
-    frames: Float[np.ndarray, "n 3 3"]  # orientations of the path's frame: x along the tangent, z along the normal
-    plates: Float[np.ndarray, "n 2 3"] | None  # normals of both plates of a fillet; None: the path has none
+    frames: Float[np.ndarray, "n 3 3"]  # orientations of the path's frame in the world: x tangent, z normal
+    zero: Float[np.ndarray, "n"]  # work angle from the normal at which the row's is 0 [rad]
+    sense: Float[np.ndarray, "n"]  # 1 where both increase in the same sense, else -1
+
+
+def path_axes(
+    row: ToolAxisRow, frames: Float[np.ndarray, "n 3 3"], plates: Float[np.ndarray, "n 2 3"] | None
+) -> PathAxes:
+    """Return the directions from which a row's angles are measured.
+
+    Args:
+        row: The row.
+        frames: Orientations of the path's frame in the world: x along the tangent, z along the normal.
+        plates: Normals of both plates of a fillet in the world; None: the path has none.
+    """
+    if row.plate is None or plates is None:
+        return PathAxes(frames, np.zeros(len(frames)), np.ones(len(frames)))
+    t, b, n = np.moveaxis(frames, 2, 0)
+    both = plates - (plates * t[:, None]).sum(axis=2, keepdims=True) * t[:, None]  # across the seam
+    both /= np.linalg.norm(both, axis=2, keepdims=True)
+    normal, other = both[:, row.plate], both[:, 1 - row.plate]
+    along = other - (other * normal).sum(axis=1, keepdims=True) * normal
+    zero = np.arctan2((along * b).sum(axis=1), (along * n).sum(axis=1))
+    return PathAxes(frames, zero, np.sign((np.cross(normal, along) * t).sum(axis=1)))
 
 
 def tool_angles(
@@ -32,17 +54,10 @@ def tool_angles(
     _, k, sign = row.axis_of
     to_tip, x = sign * rotation[:, :, k], rotation[:, :, (k + 1) % 3]
     t, b, n = np.moveaxis(axes.frames, 2, 0)
-    across, along = b, n
-    if row.plate is not None:
-        both = axes.plates - (axes.plates * t[:, None]).sum(axis=2, keepdims=True) * t[:, None]  # across the seam
-        both /= np.linalg.norm(both, axis=2, keepdims=True)
-        normal, other = both[:, row.plate], both[:, 1 - row.plate]
-        along = other - (other * normal).sum(axis=1, keepdims=True) * normal
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        across = normal
-    pairs = [((-to_tip * u).sum(axis=1), (-to_tip * v).sum(axis=1)) for u, v in ((across, along), (-t, n))]
+    pairs = [((-to_tip * u).sum(axis=1), (-to_tip * v).sum(axis=1)) for u, v in ((b, n), (-t, n))]
     pairs.append(((x * np.cross(to_tip, t)).sum(axis=1), (x * t).sum(axis=1)))
     angles = np.stack([np.arctan2(*pair) for pair in pairs], axis=1)
+    angles[:, 0] = (axes.sense * (angles[:, 0] - axes.zero) + np.pi) % (2 * np.pi) - np.pi
     return angles, np.stack([np.hypot(*pair) for pair in pairs], axis=1)
 
 
