@@ -2,10 +2,11 @@ r"""KRL of KUKA: one `PTP` to axis values for each configuration.
 
 `PTP` moves all axes, including external axes, along straight joint paths, which are proven. At a corner, `C_PTP` leaves
 the path at most `$APO.CPTP` percent of half a leg before it; where the motion stops, the position is exact. Speeds are
-percents: `$VEL_AXIS` of the axes' full speeds, and `$RED_VEL` of it for each move.
+percents: `$VEL_AXIS` of the axes' full speeds, and `$RED_VEL` of it for each move, because `$VEL_AXIS` has no less than
+1 percent. That `$RED_VEL` scales the axes' speeds is an assumption, for which no public source was found.
 
 Sources: KUKA, mxAutomation Logix 1.0, page 25 (CPTP: at most half of the distance from the start to the end point);
-KUKA, System Variables, KSS 8.1 to 8.4 ($APO, $VEL_AXIS, $VEL_EXTAX, $RED_VEL); the KRL grammar in
+KUKA, System Variables, KSS 8.1 to 8.4 ($APO, $VEL_AXIS, $VEL_EXTAX); the KRL grammar in
 github.com/antlr/grammars-v4.
 """
 
