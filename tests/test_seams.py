@@ -341,8 +341,8 @@ def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves
 
 
 def test_the_stated_gap_compares_an_order_with_its_lower_bound():
-    assert "at most 25.0 % above the shortest order" in SeamOrder((), {}, 5.0, 4.0).facts()["order"]
-    assert "no lower bound" in SeamOrder((), {}, 5.0, 0.0).facts()["order"]
+    assert "at most 25.0 % above the shortest order" in SeamOrder((), {}, 5.0, 4.0, 0.001).facts()["order"]
+    assert "no lower bound" in SeamOrder((), {}, 5.0, 0.0, 0.001).facts()["order"]
 
 
 def test_tangents_do_not_cross_from_seam_to_seam():
