@@ -70,6 +70,15 @@ def test_each_combination_has_a_row_for_each_seam_in_the_order_of_the_list(swept
     }  # fmt: skip
 
 
+def test_a_row_has_its_seams_own_task_margin_and_feed(tmp_path):
+    task = [{"point": "tcp", "on": "path", "axes": "xyz"}]
+    own = LEFT | {"margin_m": 0.003, "feed": "7mm/s", "task": task}
+    sweep = load_sweep(write_sweep(tmp_path, {"workpiece.shift_m.x": [0.0]}, seams=(own, BACK)))
+    left, back = (point.config for point in sweep.points())
+    assert sweep.batch().scenarios.margin_m.tolist() == [0.003, back.margin_m]
+    assert (left.program.feed, len(left.task)) == ("7mm/s", 1) and back.margin_m != 0.003
+
+
 def test_a_row_plans_its_seam_as_a_job_of_this_seam_alone_in_its_direction(swept):
     points = load_sweep(swept / "grid.yaml").points()
     (left,), (back,) = (point.config.workpiece.seams for point in points[:2])

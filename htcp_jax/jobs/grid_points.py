@@ -18,6 +18,7 @@ from htcp_jax.jobs.grid_axes import (
     varied_keys,
 )
 from htcp_jax.jobs.resolve import with_weights
+from htcp_jax.jobs.seam_keys import with_keys_of_only_seam
 from htcp_jax.spec import DEPENDENT, PlanConfig, strict_model, value_at
 
 
@@ -58,7 +59,7 @@ def points_of(
                 for column, value in row:
                     put_parameter(raw, column, value)
                 own = strict_model.validate_model(raw, PlanConfig, f"{name}: scenario {k}")
-            own = with_weights(own, joints)
+            own = with_weights(with_keys_of_only_seam(own), joints)
             yield ScenarioPoint(k, group.name, own, texts.of(own))
 
 
