@@ -233,10 +233,12 @@ class Plan:
         if not self._tool_axis_rows:
             return None
         found = np.full((self.plans.status.shape[1], 3), np.nan)
+        known = self.robot, self.workpiece, self.plans.x[0]
         with devices.on(devices.choose(self.device)[0]):
-            for first, row in self._tool_axis_rows:
-                known = self.scenario, row, self.robot, self.workpiece
-                found[first:] = tool_angles_at(*known, self.plans.x[0])[first:]
+            rows = {row for _, row in self._tool_axis_rows}
+            by_row = {row: tool_angles_at(self.scenario, row, *known) for row in rows}
+        for first, row in self._tool_axis_rows:
+            found[first:] = by_row[row][first:]
         return found
 
     @property

@@ -125,7 +125,7 @@ def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: 
 
 
 class CompilingColumn(ProgressColumn):
-    """What is being compiled, see `Compilations.text`; empty if nothing is."""
+    """Column with the programs that are being compiled, see `Compilations.text`; empty if there are none."""
 
     def render(self, task: Task) -> Text:
         """Return the text."""

@@ -186,12 +186,17 @@ def allowed_frames(
     a: Float[Array, "3 3"], b: Float[Array, "3 3"], limit: Float[Array, "2"], tolerance_rad: float
 ) -> Chords:
     """Return the allowed region of a frame between two required rotations; `limit` is each goal's half angle [rad]."""
+    middle, size = half_way(a, b)
+    radius = np.sqrt(2) * chord(_half_angles(limit, size) + tolerance_rad)
+    return Chords(jnp.stack([a.T, b.T, middle.T]).reshape(3, 9), radius)
+
+
+def half_way(a: Float[Array, "3 3"], b: Float[Array, "3 3"]) -> tuple[Float[Array, "3 3"], Scalar]:
+    """Return the rotation half way between two rotations, and the angle between these [rad]."""
     vector = rotation_vector(product(b, a.T))
     size = safe_norm(vector)
     axis = jnp.where(size > 0, vector, jnp.array([1.0, 0.0, 0.0])) / jnp.where(size > 0, size, 1.0)
-    middle = product(axis_angle_matrix(axis[None], 0.5 * size[None])[0], a)
-    radius = np.sqrt(2) * chord(_half_angles(limit, size) + tolerance_rad)
-    return Chords(jnp.stack([a.T, b.T, middle.T]).reshape(3, 9), radius)
+    return product(axis_angle_matrix(axis[None], 0.5 * size[None])[0], a), size
 
 
 def chord(half_angle: Float[Array, "*n"]) -> Float[Array, "*n"]:

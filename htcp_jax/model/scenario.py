@@ -59,25 +59,22 @@ class Scenario:
         """Goals of the task at every target; for the paper's task, the targets."""
         return self.targets if self.task_goals is None else self.task_goals
 
-    def margins_at(self, scenario: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the required clearance at some targets of stacked scenarios [m].
+    def margins_to(
+        self, scenario: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Return the required clearances at some targets of stacked scenarios, and on the segments to them [m].
 
         Args:
             scenario: Row of each target's scenario.
             row: Index of each target.
-        """
-        own = self.seam_margins_m
-        return self.margin_m[scenario] if own is None else own[scenario, row, 0]
 
-    def segment_margins_to(self, scenario: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the required clearance on the segments of the path to some targets [m]; 0: only D > 0.
-
-        Args:
-            scenario: Row of each target's scenario.
-            row: Index of each target.
+        Returns:
+            The clearance at each target, and that on the segment of the path to it; 0: only D > 0.
         """
-        own = self.seam_margins_m
-        return self.segment_margin_m[scenario] if own is None else own[scenario, row, 1]
+        if self.seam_margins_m is None:
+            return self.margin_m[scenario], self.segment_margin_m[scenario]
+        own = self.seam_margins_m[scenario, row]
+        return own[:, 0], own[:, 1]
 
 
 def without_pose(T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:

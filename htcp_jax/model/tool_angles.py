@@ -21,8 +21,8 @@ import numpy as np
 import scipy
 
 from htcp_jax.model.robot import ArmFrame
-from htcp_jax.model.rotations import axis_angle_matrix, axis_error, frame_turns, rotation_vector, turned_frames
-from htcp_jax.model.row_bounds import HalfSpaces
+from htcp_jax.model.rotations import axis_error, frame_turns, turned_frames
+from htcp_jax.model.row_bounds import HalfSpaces, half_way
 from htcp_jax.model.task_rows import AIM_SHARE, Feature, Row, eased_offsets, mixed
 from htcp_jax.numerics import product, safe_norm
 from htcp_jax.spec import AIM_RAD
@@ -97,19 +97,15 @@ class ToolAngles(Row):
 
         Half way, each range is at least as wide as half of the frame's rotation from target to target.
         """
-        a, b = goals[:, :9].reshape(2, 3, 3)
-        vector = rotation_vector(product(b, a.T))
-        turn = safe_norm(vector)
-        axis = jnp.where(turn > 0, vector, jnp.array([1.0, 0.0, 0.0])) / jnp.where(turn > 0, turn, 1.0)
-        middle = product(axis_angle_matrix(axis[None], 0.5 * turn[None])[0], a)
-        half_way = jnp.concatenate([middle.ravel(), 0.5 * (goals[0, 9:] + goals[1, 9:])])
+        middle, turn = half_way(*goals[:, :9].reshape(2, 3, 3))
+        mean = jnp.concatenate([middle.ravel(), 0.5 * (goals[0, 9:] + goals[1, 9:])])
         turn = turn + jnp.max(jnp.abs(goals[1, 9:15] - goals[0, 9:15]))
-        every = (goals[0], goals[1], half_way)
+        every = (goals[0], goals[1], mean)
         # All expressions are linear in the value, without a constant.
         vectors = jnp.stack([jax.jacfwd(lambda value, goal=goal: self._allowed(value, goal))(
             jnp.zeros(self.size)
         ) for goal in every])  # fmt: skip
-        wider = jnp.stack([jnp.maximum(0.0, 0.5 * turn - half) for half in self._half_widths(half_way)])
+        wider = jnp.stack([jnp.maximum(0.0, 0.5 * turn - half) for half in self._half_widths(mean)])
         beyond = tolerance_rad + jnp.stack([jnp.zeros(len(wider)), jnp.zeros(len(wider)), wider])
         return HalfSpaces(vectors, jnp.sin(jnp.minimum(beyond, 0.5 * np.pi)))
 

@@ -44,7 +44,7 @@ def lane_inputs(
     return LaneInputs(
         T_world_workpiece=scenarios.T_world_workpiece[scenario],
         interior_plane=scenarios.interior_plane[scenario],
-        margin_m=scenarios.margins_at(scenario, row),
+        margin_m=scenarios.margins_to(scenario, row)[0],
         tool_extension_m=scenarios.tool_extension_m[scenario],
         number=scenarios.number[scenario],
         target=scenarios.goals[scenario, row],

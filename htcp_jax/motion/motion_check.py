@@ -1,6 +1,6 @@
 """Verification that plans are motions: they begin at the given start, the arm is proven clear, the tool is on its path.
 
-On the segment to a target of the path, the arm must have the clearance `Scenario.segment_margins_to`, and the TCP must
+On the segment to a target of the path, the arm must have the clearance `Scenario.margins_to`, and the TCP must
 stay within `Settings.path_tolerance_m` of the line from the previous target, and advance along this line. If the arm
 changes its configuration on the segment, the TCP must stay within this distance of the previous target. On segments of
 the approach and between seams the TCP may leave the lines. Targets closer than `ONE_POINT_M` are one point.
@@ -72,7 +72,7 @@ def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarra
         scenario: Row of each segment's scenario (n,).
         target: Target at each segment's end (n,).
     """
-    least = scenarios.segment_margins_to(scenario, target)
+    least = scenarios.margins_to(scenario, target)[1]
     return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
 
 

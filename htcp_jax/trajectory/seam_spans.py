@@ -25,7 +25,7 @@ def seam_spans(job: PlanConfig, timed: TimedMotion, seam_begins: tuple[int, ...]
     """
     names = [seam.name for seam in job.workpiece.seams] or [Path(job.workpiece.path).stem]
     seam = np.array([bisect_right(seam_begins, target) for target in timed.target.tolist()], int)
-    on_path, spans = np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL)), []
+    on_path, spans = timed.is_process, []
     for k in range(1 + len(seam_begins)):
         own = np.flatnonzero(on_path & (seam == k))
         name = names[k] if k < len(names) else str(k + 1)

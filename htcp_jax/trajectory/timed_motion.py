@@ -3,7 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
+
+from htcp_jax.status import Kind
 
 LINEAR, QUINTIC, STRAIGHT = "linear", "quintic", "straight"  # how players join configurations, see `deviation`
 
@@ -21,3 +23,8 @@ class TimedMotion(NamedTuple):
     span: Float[np.ndarray, "n 2"] | None = None  # shares of the segment [1], see `Motion`
     # Share of the longer leg next to each configuration in which the program blends its corner; None: unknown.
     blended: Float[np.ndarray, "n"] | None = None  # [1]
+
+    @property
+    def is_process(self) -> Bool[np.ndarray, "n"]:
+        """True for rows to which the tool follows the path, or stays on it."""
+        return np.isin(self.kind, (Kind.PROCESS, Kind.DWELL))

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.errors import InputError
-from htcp_jax.io.motions.source import DEG, Rows, Source, listed
+from htcp_jax.io.motions.source import DEG, ROBOT_AXES, Rows, Source, listed
 
-AXES = 6
 HALF = 0.5  # largest share of a leg in which a corner is rounded
 ROUTINE = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\([^()]*\)", re.IGNORECASE)
 DECLARED = re.compile(
@@ -60,13 +59,9 @@ def read_krl(source: Source) -> Rows:
     source.check_uncoupled("krl")
     robot_group, base, station = source.groups
     external = (*base, *station)
-    if len(robot_group) != AXES:
-        raise InputError(
-            f"{source.file}: a robot of {len(robot_group)} joints; E6AXIS has {AXES}; set program.groups to the joints "
-            "of robot, base and station"
-        )
+    source.check_robot("E6AXIS")
     moves, notes = _moves(source)
-    names = [*(f"A{k + 1}" for k in range(AXES)), *(f"E{k + 1}" for k in range(len(external)))]
+    names = [*(f"A{k + 1}" for k in range(ROBOT_AXES)), *(f"E{k + 1}" for k in range(len(external)))]
     values = np.zeros((len(moves), source.robot.dof))
     for n, move in enumerate(moves):
         if lacking := [name for name in names if name not in move.values]:

@@ -11,10 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from htcp_jax.errors import InputError
 from htcp_jax.io.motions.source import DEG, Rows, Source, elapsed, listed
 
-AXES = 6
 HALF = 0.5  # share of a leg in which a corner with CNT may be rounded
 SECTION = re.compile(r"/(?:(PROG)\s+\w+(?:\s+\w+)?|(ATTR|APPL|MN|POS|END))")
 ORDER = "PROG", "ATTR", "APPL", "MN", "POS", "END"
@@ -64,11 +62,7 @@ def read_ls(source: Source) -> Rows:
     source.check_unit("LS", "deg")
     source.check_uncoupled("ls")
     robot_group, base, station = source.groups
-    if len(robot_group) != AXES:
-        raise InputError(
-            f"{source.file}: a robot of {len(robot_group)} joints; group 1 has {AXES}; set program.groups to the "
-            "joints of robot, base and station"
-        )
+    source.check_robot("group 1")
     instructions, positions = _sections(source)
     moves, still = _moves(source, instructions)
     columns = {f"1 J{k + 1}": j for k, j in enumerate(robot_group)} | {f"1 E{k + 1}": j for k, j in enumerate(base)}

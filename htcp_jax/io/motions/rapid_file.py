@@ -10,14 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from htcp_jax.errors import InputError
 from htcp_jax.io.motions.rapid_order import executed
 from htcp_jax.io.motions.rapid_statements import Statement, statements
-from htcp_jax.io.motions.source import DEG, LARGEST, Rows, Source, corners, elapsed, listed
+from htcp_jax.io.motions.source import DEG, LARGEST, ROBOT_AXES, Rows, Source, corners, elapsed, listed
 
 ZONES_MM = {"fine": 0.0, "z0": 0.3} | {f"z{k}": float(k) for k in (1, 5, 10, 15, 20, 30, 40, 50, 60, 80, 100, 150, 200)}
 NOT_CONNECTED = 9e9  # an external axis with this value is not connected
-AXES = 6
 ARGUMENTS = 4  # of MoveAbsJ, without switches
 READ_TYPES = {"jointtarget", "robjoint", "extjoint", "zonedata", "num"}
 DECLARATION = re.compile(
@@ -60,11 +58,7 @@ def read_rapid(source: Source) -> Rows:
     source.check_unit("RAPID", "deg")
     robot_group, base, station = source.groups
     external = (*base, *station)
-    if len(robot_group) != AXES:
-        raise InputError(
-            f"{source.file}: a robot of {len(robot_group)} joints; robjoint has {AXES}; set program.groups to the "
-            "joints of robot, base and station"
-        )
+    source.check_robot("robjoint")
     moves, notes = _moves(source)
     values, corners_m = np.zeros((len(moves), source.robot.dof)), []
     for k, move in enumerate(moves):
@@ -170,7 +164,7 @@ def _move(source: Source, statement: Statement, known: dict[str, Any]) -> _Move:
 
 
 def _are_numbers(part: Any) -> bool:
-    return isinstance(part, list) and len(part) == AXES and all(isinstance(v, float) for v in part)
+    return isinstance(part, list) and len(part) == ROBOT_AXES and all(isinstance(v, float) for v in part)
 
 
 def _zone(source: Source, line: int, text: str, known: dict[str, Any]) -> float:

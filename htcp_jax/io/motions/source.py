@@ -15,6 +15,7 @@ DEG = np.pi / 180
 ANGLES = {"rad": 1.0, "deg": DEG}
 LENGTHS = {"m": 1.0, "mm": 1e-3}
 LARGEST = 1e100  # numbers of this magnitude or more count as infinite
+ROBOT_AXES = 6
 MOST_LISTED = 300  # maximum number of characters of a list of names in a message
 
 
@@ -44,7 +45,7 @@ class Controller(Protocol):
 
     @property
     def j3_from(self) -> str:
-        """Where joint 3 of a FANUC arm is counted from: "upper_arm" or "horizontal"."""
+        """Origin of the count of a FANUC arm's joint 3: "upper_arm" or "horizontal"."""
 
 
 class Source(NamedTuple):
@@ -93,6 +94,21 @@ class Source(NamedTuple):
         """
         if self.unit is not None and self.unit != holds:
             raise InputError(f"{self.file}: {format} holds {holds}; --unit {self.unit} contradicts that")
+
+    def check_robot(self, holder: str) -> None:
+        """Check that the job's group of the robot has six joints, as a format for robots with six axes needs.
+
+        Args:
+            holder: What has the values of the robot's axes in the format.
+
+        Raises:
+            InputError: If it has another number of joints.
+        """
+        if (count := len(self.groups[0])) != ROBOT_AXES:
+            raise InputError(
+                f"{self.file}: a robot of {count} joints; {holder} has {ROBOT_AXES}; set program.groups to the joints "
+                "of robot, base and station"
+            )
 
     def check_uncoupled(self, format: str) -> None:
         """Check that the job couples no axes, which only RAPID's writer and reader support.

@@ -69,7 +69,7 @@ class _Record(NamedTuple):
 
 
 class _State:
-    """What the records before set."""
+    """Values that the records before have set."""
 
     def __init__(self, unit: str | None) -> None:
         self.unit = unit

@@ -12,26 +12,25 @@ github.com/antlr/grammars-v4.
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.status import Kind
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, check_robot, exact_rows, section_names, tcp_sentences
 from htcp_jax.trajectory.formats.names import KRL_WORDS, check_name, comment, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,23}")
 RULE = "up to 24 letters, digits and _, a letter first"
 USED = frozenset(("bas", "e6axis"))
-ROBOT_AXES, EXTERNAL_AXES = 6, 6
+EXTERNAL_AXES = 6
 FIRST_PERCENT = 5
 MOST_ABOVE = 1e-3  # rounding of shares [%]
 DIGITS = 5  # decimals of degrees and mm
-SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
 FARTHEST = 5 / 32  # distance of the program's blend from its corner, in its length times the change of slope
 WIDTH = 100  # maximum number of characters of a comment
 MORE = (
@@ -50,43 +49,29 @@ def krl_text(timed: TimedMotion, controller: ControllerData) -> str:
             procedure, missing joint speeds, and velocities above them.
     """
     groups, name = controller.joint_groups, controller.name
-    if len(groups.robot) != ROBOT_AXES:
-        raise InputError(
-            f"krl: a robot of {len(groups.robot)} joints; E6AXIS has {ROBOT_AXES}; set program.groups for external axes"
-        )
-    if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
-        raise InputError(f"krl: {sliding[0]} is a slide joint; put it into program.groups.base")
+    check_robot("krl", timed, controller, f"E6AXIS has {ROBOT_AXES}; set program.groups for external axes")
     if len(groups.external) > EXTERNAL_AXES:
         raise InputError(f"krl: {len(groups.external)} external axes; E6AXIS supports at most {EXTERNAL_AXES}")
     check_name("krl: procedure name", name, NAME, RULE, KRL_WORDS | USED)
     tool = f"TOOL_DATA[{controller.tool}]" if controller.tool else "$NULLFRAME"
     lines = ["&ACCESS RVP", "&REL 1", f"DEF {name}()"]
     outputs = bool(controller.rows_with_outputs)
-    for sentence in header(timed, *MORE, CHECK_AXES, *_tcp_lines(controller), outputs=outputs):
+    for sentence in header(timed, *MORE, CHECK_AXES, *tcp_sentences(controller, "$TOOL"), outputs=outputs):
         lines += [f"; {line}" for line in textwrap.wrap(comment(sentence), WIDTH)]
     lines += ["BAS(#INITMOV,0)", f"$TOOL={tool}", "$BASE=$NULLFRAME", *_moves(timed, controller), "$RED_VEL=100", "END"]
     return "\r\n".join(lines) + "\r\n"
 
 
-def _tcp_lines(controller: ControllerData) -> list[str]:
-    if (tcp := controller.tcp) is None:
-        return []
-    x, y, z = (np.round(1e3 * tcp.T_frame_tcp[:3, 3], 3) + 0.0).tolist()
-    return [
-        f"The planned TCP is at X {x:.3f}, Y {y:.3f}, Z {z:.3f} mm in the frame of {tcp.frame}; $TOOL must have it."
-    ]
-
-
 def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
     """Yield the statements of the motion."""
-    on_path, exact = _is_process(timed), _stops(timed, controller)
-    velocity, factor = _percents(timed, controller, on_path)
+    exact, sections = exact_rows(timed, controller), section_names(timed)
+    velocity, factor = _percents(timed, controller, sections)
     corner = _corner_percents(timed)
     begins = {seam.first: seam.name for seam in controller.seams}
     last: tuple[int, int, int] = (0, 0, 0)  # values of $VEL_AXIS, $RED_VEL and $APO.CPTP
     for row in range(len(timed.x)):
-        if row and (row == 1 or on_path[row] != on_path[row - 1]):
-            yield "; process" if on_path[row] else "; air move"
+        if sections[row]:
+            yield f"; {sections[row]}"
         now = int(velocity[row]), int(factor[row]), last[2] if exact[row] else int(corner[row])
         if now[0] != last[0]:
             yield from (f"$VEL_AXIS[{k + 1}]={now[0]}" for k in range(ROBOT_AXES))
@@ -103,22 +88,8 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
             yield f"$OUT[{output_number('krl', output)}]={'TRUE' if value else 'FALSE'}"
 
 
-def _is_process(timed: TimedMotion) -> Bool[np.ndarray, "n"]:
-    """Return True for rows to which the tool follows the path."""
-    return np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL))
-
-
-def _stops(timed: TimedMotion, controller: ControllerData) -> Bool[np.ndarray, "n"]:
-    """Return True for rows at which the arm stops."""
-    stops = np.abs(timed.velocity).max(axis=1, initial=0.0) <= SLOWEST
-    if timed.blended is not None:
-        stops |= timed.blended <= 0
-    stops[[0, -1, *controller.rows_with_outputs]] = True
-    return stops
-
-
 def _percents(
-    timed: TimedMotion, controller: ControllerData, on_path: Bool[np.ndarray, "n"]
+    timed: TimedMotion, controller: ControllerData, sections: Sequence[str]
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     """Return $VEL_AXIS and $RED_VEL for the move to each row; $VEL_AXIS changes where process and air moves begin.
 
@@ -137,7 +108,7 @@ def _percents(
         fast = f"{timed.joint_names[joint]} at {shares[row, joint]:.1f} % of its full speed"
         raise InputError(f"krl: {fast}, {timed.time_s[row]:.6g} s from the start; at most 100 %")
     share = shares.max(axis=1)
-    begins = [1, *(np.flatnonzero(on_path[2:] != on_path[1:-1]) + 2).tolist(), count]
+    begins = [*(k for k, section in enumerate(sections) if section), count]
     for first, stop in pairwise(begins):
         velocity[first:stop] = np.clip(np.ceil(share[first - 1 : stop - 1].max() - MOST_ABOVE), 1, 100)
     factor[1:] = np.clip(np.round(100 * share / velocity[1:]), 1, 100)

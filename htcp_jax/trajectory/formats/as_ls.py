@@ -17,21 +17,20 @@ import textwrap
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.status import Kind
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, check_robot, exact_rows, section_names, tcp_sentences
 from htcp_jax.trajectory.formats.names import check_name, comment, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 NAME = re.compile(r"[A-Z][A-Z0-9_]{0,35}")
 RULE = "up to 36 of A to Z, 0 to 9 and _, a letter first"
 WIDTH = 32  # maximum number of characters of a comment
-ROBOT_AXES, EXTENDED_AXES, STATION_AXES = 6, 3, 6
+EXTENDED_AXES, STATION_AXES = 3, 6
 FIRST_PERCENT = 5
 LONGEST_MS, LONGEST_S = 32_000, 3200.0
-SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
 DIGITS = 6  # decimals of degrees and mm
 CNT = 100
 MORE = (
@@ -52,12 +51,7 @@ def ls_text(timed: TimedMotion, controller: ControllerData) -> str:
             and moves that take too long.
     """
     groups, name = controller.joint_groups, controller.name
-    if len(groups.robot) != ROBOT_AXES:
-        raise InputError(
-            f"ls: a robot of {len(groups.robot)} joints; group 1 has {ROBOT_AXES}; set program.groups for external axes"
-        )
-    if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
-        raise InputError(f"ls: {sliding[0]} is a slide joint; put it into program.groups.base")
+    check_robot("ls", timed, controller, f"group 1 has {ROBOT_AXES}; set program.groups for external axes")
     for what, own, most in (("base", groups.base, EXTENDED_AXES), ("station", groups.station, STATION_AXES)):
         if len(own) > most:
             raise InputError(f"ls: {len(own)} axes in program.groups.{what}; at most {most} are supported")
@@ -107,7 +101,7 @@ def _line(number: int, text: str) -> str:
 
 
 def _remarks(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
-    more = (*MORE, CHECK_AXES, J3[controller.j3_from], *_tcp_line(controller))
+    more = (*MORE, CHECK_AXES, J3[controller.j3_from], *tcp_sentences(controller, "UTOOL"))
     for sentence in header(timed, *more, outputs=bool(controller.rows_with_outputs)):
         yield from (_remark(line) for line in textwrap.wrap(comment(sentence).replace(";", ","), WIDTH))
 
@@ -116,22 +110,13 @@ def _remark(text: str) -> str:
     return f"!{comment(text).replace(';', ',')[:WIDTH]}"
 
 
-def _tcp_line(controller: ControllerData) -> list[str]:
-    if (tcp := controller.tcp) is None:
-        return []
-    x, y, z = (np.round(1e3 * tcp.T_frame_tcp[:3, 3], 3) + 0.0).tolist()
-    return [
-        f"The planned TCP is at X {x:.3f}, Y {y:.3f}, Z {z:.3f} mm in the frame of {tcp.frame}, UTOOL must have it."
-    ]
-
-
 def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
-    on_path, exact = np.isin(timed.kind, (Kind.PROCESS, Kind.DWELL)), _exact(timed, controller)
+    exact, sections = exact_rows(timed, controller), section_names(timed)
     begins = {seam.first: seam.name for seam in controller.seams}
     seconds = np.append(0.0, np.diff(timed.time_s)).tolist()
     for row, duration_s in enumerate(seconds):
-        if row and (row == 1 or on_path[row] != on_path[row - 1]):
-            yield _remark("process" if on_path[row] else "air move")
+        if sections[row]:
+            yield _remark(sections[row])
         speed = _time(duration_s, timed.time_s[row]) if row else f"{FIRST_PERCENT}%"
         yield f"J P[{row + 1}] {speed} {'FINE' if exact[row] else f'CNT{CNT}'}"
         if row in begins:
@@ -147,15 +132,6 @@ def _time(duration_s: float, at_s: float) -> str:
     if (tenths := np.ceil(10 * duration_s - 1e-6) / 10) <= LONGEST_S:
         return f"{tenths:.1f}sec"
     raise InputError(f"ls: a move of {duration_s:.6g} s that ends {at_s:.6g} s from the start; at most {LONGEST_S:g} s")
-
-
-def _exact(timed: TimedMotion, controller: ControllerData) -> Bool[np.ndarray, "n"]:
-    """Return True for rows that the arm reaches exactly."""
-    exact = np.abs(timed.velocity).max(axis=1, initial=0.0) <= SLOWEST
-    if timed.blended is not None:
-        exact |= timed.blended <= 0
-    exact[[0, -1, *controller.rows_with_outputs]] = True
-    return exact
 
 
 def _positions(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, at_rest, check_robot
 from htcp_jax.trajectory.formats.controller_limits import RAPID_LINES
 from htcp_jax.trajectory.formats.names import RAPID_WORDS, check_name
 from htcp_jax.trajectory.formats.parts import ProgramFile, split
@@ -25,8 +26,7 @@ USED = frozenset(("moveabsj", "noeoffs", "v50", "v1000", "z0", "fine"))  # names
 RULE = "up to {} letters, digits and _, a letter first"
 FRAME_LINES = 4  # lines of a module other than comments and moves
 FLANGE_TOOL = "tool0"  # predefined; its TCP is at the flange
-ROBOT_AXES, EXTERNAL_AXES = 6, 6
-SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
+EXTERNAL_AXES = 6
 LEAST_S = 1e-6  # last digit of a time; a time of 0 is not valid
 NOT_CONNECTED = "9E9"
 MORE = (
@@ -65,12 +65,7 @@ def rapid_files(timed: TimedMotion, controller: ControllerData) -> list[ProgramF
 
 def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple[list[str], list[str]]:
     groups = controller.joint_groups
-    if len(groups.robot) != ROBOT_AXES:
-        raise InputError(f"rapid: a robot of {len(groups.robot)} joints; robjoint needs {ROBOT_AXES}")
-    if sliding := [timed.joint_names[k] for k in groups.robot if controller.slides[k]]:
-        raise InputError(
-            f"rapid: {sliding[0]} is a slide joint; put it into program.groups.base, as robjoint has only hinges"
-        )
+    check_robot("rapid", timed, controller, f"robjoint needs {ROBOT_AXES}", ", as robjoint has only hinges")
     if len(groups.external) > EXTERNAL_AXES:
         raise InputError(f"rapid: {len(groups.external)} external axes; extjoint supports at most {EXTERNAL_AXES}")
     name, tool = controller.name, controller.tool_name or f"tool{controller.tool}"
@@ -83,7 +78,7 @@ def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple
     units = f"Degrees and mm. {_tool_line(tool, controller)}"
     about = header(timed, *MORE, CHECK_AXES, *sums, units, outputs=bool(controller.rows_with_outputs))
     moves = [f"MoveAbsJ {places[0]}\\NoEOffs,v50,fine,{tool};"]
-    stops = np.abs(timed.velocity).max(axis=1) <= SLOWEST
+    stops = at_rest(timed.velocity)
     stops[[-1, *controller.rows_with_outputs]] = True
     for place, seconds, is_stop in zip(places[1:], np.diff(timed.time_s).tolist(), stops[1:].tolist(), strict=True):
         zone = "fine" if is_stop else "z0"
