@@ -257,8 +257,7 @@ class Plan:
     @property
     def _seam_names(self) -> list[str]:
         """Name of the seam of each target, for a job with several seams."""
-        number = np.searchsorted(self.plans.seam_begins, np.arange(self.plans.status.shape[1]), "right")
-        return [self.job.workpiece.seams[seam].name for seam in number.tolist()]
+        return [self.job.workpiece.seams[seam].name for seam in self.plans.seam_of_targets.tolist()]
 
     @cached_property
     def obstruction(self) -> Obstruction | None:

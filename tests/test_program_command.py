@@ -372,11 +372,17 @@ def test_formats_without_outputs_refuse_them_in_one_line(plans, here, capsys):
         assert line.count("\n") == 1 and not list(here.glob("weld*"))
 
 
+def proven_ls(made):
+    """LS files of a program, and their proof."""
+    motion = made.in_file("ls")
+    return prove_with_exact_corners(made, "ls", "WELD", motion, made.files("ls", "WELD", motion))
+
+
 def test_rounded_corners_that_leave_less_than_half_of_the_margin_become_exact(plans):
     made = program_of(open_plans(plans / "good"), 0.02)
     strict = made._replace(job=made.job.model_copy(update={"margin_m": 0.1}))
-    (usual,), _ = prove_with_exact_corners(made, "ls", "WELD", made.in_file("ls"))
-    (file,), found = prove_with_exact_corners(strict, "ls", "WELD", strict.in_file("ls"))
+    (usual,), _ = proven_ls(made)
+    (file,), found = proven_ls(strict)
     rounded = np.flatnonzero((found.motion.corner_share > 0).any(axis=1))
     assert found.proof.proven and file.text.count("CNT") < usual.text.count("CNT")
     assert (found.proof.clearance_m[rounded - 1] >= 0.05).all()

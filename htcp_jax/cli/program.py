@@ -175,9 +175,9 @@ def program(
     _print_note(in_file)
     file, is_chosen = made.in_file(format, step_s, max_points), step_ms is not None or max_points is not None
     deviation = deviations(made.robot, made.program, file)
-    made.files(format, out.stem, file)  # what the format cannot contain is refused first
+    files = made.files(format, out.stem, file)
     check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
-    files, proof = prove_with_exact_corners(made, format, out.stem, file)
+    files, proof = prove_with_exact_corners(made, format, out.stem, file, files)
     if proof.is_refuted:
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED

@@ -199,6 +199,11 @@ class Plans(NamedTuple):
         return np.isin(np.arange(self.status.shape[1]), self.seam_begins)
 
     @property
+    def seam_of_targets(self) -> Int[np.ndarray, "T"]:
+        """Number of the seam of each target, counted from 0."""
+        return np.cumsum(self.begins_seam)
+
+    @property
     def executable(self) -> Bool[np.ndarray, "S T"]:
         """True for targets that a proven motion leads to.
 

@@ -76,7 +76,12 @@ def prove_program(
 
 
 def prove_with_exact_corners(
-    made: PlanProgram, format: str, name: str, file: FileMotion, device: str | None = None
+    made: PlanProgram,
+    format: str,
+    name: str,
+    file: FileMotion,
+    files: Sequence[ProgramFile],
+    device: str | None = None,
 ) -> tuple[list[ProgramFile], ProgramProof]:
     """Return a program's files and their proof; corners that need it are exact instead of rounded.
 
@@ -88,13 +93,13 @@ def prove_with_exact_corners(
         format: Name of the format in `trajectory.FORMATS`.
         name: Name of the program.
         file: The configurations, see `PlanProgram.in_file`.
+        files: The files of these configurations, see `PlanProgram.files`.
         device: The device; None: a GPU if there is one.
 
     Raises:
         InputError: If `PlanProgram.files` or `prove_program` raises it.
     """
-    files = made.files(format, name, file)
-    found = prove_program(made, format, files, device)
+    files, found = list(files), prove_program(made, format, files, device)
     for _ in range(ROUNDS):
         if not len(corners := _corners_to_make_exact(made, found)):
             break

@@ -330,8 +330,7 @@ def timed_plan(
         left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
     at = plans.x[scenario], plans.target[scenario] if goals is None else goals
     by_seam = () if isinstance(feed_m_s, float) else feed_m_s
-    number = np.searchsorted(plans.seam_begins, np.arange(plans.status.shape[1]), "right")
-    feed = np.array(by_seam)[number] if by_seam else feed_m_s
+    feed = np.array(by_seam)[plans.seam_of_targets] if by_seam else feed_m_s
     made = time_motion(robot, whole, left, limits, feed, near_part_speeds(job))
     feeds = dict(zip((seam.name for seam in job.workpiece.seams), by_seam, strict=False))
     return PlanProgram(made, robot, job, limits, method, *at, plans.seam_begins, feeds)

@@ -1,6 +1,5 @@
 """Seams in a program's file, and the outputs that the job sets at their ends."""
 
-from bisect import bisect_right
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ def seam_spans(job: PlanConfig, timed: TimedMotion, seam_begins: tuple[int, ...]
         seam_begins: First targets of the second and of each later seam.
     """
     names = [seam.name for seam in job.workpiece.seams] or [Path(job.workpiece.path).stem]
-    seam = np.array([bisect_right(seam_begins, target) for target in timed.target.tolist()], int)
+    seam = np.searchsorted(seam_begins, timed.target, "right")
     on_path, spans = timed.is_process, []
     for k in range(1 + len(seam_begins)):
         own = np.flatnonzero(on_path & (seam == k))
