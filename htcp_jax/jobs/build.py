@@ -42,6 +42,7 @@ from htcp_jax.model import (
     task_of,
     tcp_at,
     thinnest_nearby,
+    with_plates,
 )
 from htcp_jax.model import robot as robots
 from htcp_jax.spec import (
@@ -185,6 +186,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         **track,
         **{name: value for name, value in stated.items() if value is not None},
     )
+    workpiece = with_plates_of(part, workpiece)
     body, cover_m = thinnest_nearby(robot), workpiece.covering_radius_m
     if body is None or not len(workpiece.cloud):
         return workpiece
@@ -205,6 +207,13 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
             stacklevel=2,
         )
     return workpiece
+
+
+def with_plates_of(part: WorkpieceConfig, workpiece: Workpiece) -> Workpiece:
+    """Return the workpiece with the plates of a fillet from its mesh, if the section says so."""
+    if part.plates is None:
+        return workpiece
+    return with_plates(workpiece, part.plates.within_m, np.array(part.plates.plate_1_faces))
 
 
 def source_of(part: WorkpieceConfig) -> parts.WorkpieceSource:

@@ -77,6 +77,7 @@ def in_order(
     points, begins = points_of_seams(job.workpiece)
     xyz = points.xyz - np.asarray(found.workpiece.origin)
     workpiece = found.workpiece.with_path(job.workpiece.path_label, xyz, points.frames, begins)
+    workpiece = build.with_plates_of(job.workpiece, workpiece)
     return job, workpiece, build.scenario_of(job, robot, workpiece, beyond_reach="record")
 
 

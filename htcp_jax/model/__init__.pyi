@@ -1,6 +1,7 @@
 from . import arrays, duct, fixture, kinematics, robot, scenario, surface
 from .convex_piece import BodyPieces, ConvexPiece, body_pieces, make_piece, stack_pieces
 from .coupling import Coupling, LimitArrays, coordinate_limits, joints_between, moved_by
+from .fillet_plates import with_plates
 from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, tool_angles_at, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
@@ -85,6 +86,7 @@ __all__ = [
     "thinnest_nearby",
     "tool_angles_at",
     "with_goals",
+    "with_plates",
     "with_own_tool",
     "within_limits",
 ]

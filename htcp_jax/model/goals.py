@@ -200,7 +200,7 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
             remedy = "add columns qw,qx,qy,qz to its file, or set workpiece.path_angles for columns of angles"
             raise RowError(f": the path has no orientations; {remedy}", f"{k} ({row})")
         if "plates" in row.uses and workpiece.frames.plates is None:
-            remedy = "add columns n1x,n1y,n1z,n2x,n2y,n2z, the plates' normals, to its file"
+            remedy = "add columns n1x ... n2z, the plates' normals, to its file, or set workpiece.plates for a mesh"
             raise RowError(f": the path has no plates; {remedy}", f"{k} ({row})")
         if "plates" in row.uses:
             along = np.abs(np.einsum("tpx,tx->tp", workpiece.frames.plates, workpiece.tangents))

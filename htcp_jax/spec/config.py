@@ -256,6 +256,20 @@ class PathColumnsConfig(strict_model.FileSection):
         return self.model_dump(exclude_none=True)
 
 
+class PlatesConfig(strict_model.FileSection):
+    """How the two plates of a fillet are found in the part's mesh, see `model.fillet_plates`."""
+
+    within_m: Annotated[float, Field(gt=0, le=LARGEST)]  # radius around a point of the path
+    plate_1_faces: PointM  # direction in the part's frame; plate 1 is the plate that faces it more
+
+    @field_validator("plate_1_faces")
+    @classmethod
+    def _is_a_direction(cls, direction: PointM) -> PointM:
+        if not any(direction):
+            raise InputError("plate_1_faces is zero; it must be a direction, such as [0, 0, 1]")
+        return direction
+
+
 class WorkpieceConfig(strict_model.FileSection):
     """The workpiece: its cloud or mesh, the tool path in its frame, its pose, and the approach to the path."""
 
@@ -268,6 +282,8 @@ class WorkpieceConfig(strict_model.FileSection):
     path_columns: PathColumnsConfig | None = None  # columns of the CSV file; None: the header's, or the first ones
     path_unit: LengthUnit | None = None  # unit of the CSV file; None: the header's unit, or m
     path_angles: Maker | None = None  # maker whose order the angles in the CSV file have; None: the header decides
+    # plates of a fillet, found in the mesh; None: those of the path's file, if it has some
+    plates: PlatesConfig | None = Field(None, exclude_if=lambda plates: plates is None)
     origin_m: FilePointM | None = None  # point subtracted from cloud, path and inlet; None: see `load_workpiece`
     inlet_m: FilePointM | None = None  # centre of the inlet; None: the duct's inlet, or no inlet for another cloud
     interior: Literal["hull", "none"] = "hull"  # convex hull, or no boundary, deeper than interior_depth_m
