@@ -86,7 +86,7 @@ __all__ = [
     "thinnest_nearby",
     "tool_angles_at",
     "with_goals",
-    "with_plates",
     "with_own_tool",
+    "with_plates",
     "within_limits",
 ]

@@ -93,9 +93,7 @@ def _cuts(
     return _Cuts(length[kept], across[kept] / size[kept, None])
 
 
-def _length_within(
-    a: Float[np.ndarray, "k 3"], b: Float[np.ndarray, "k 3"], radius_m: float
-) -> Float[np.ndarray, "k"]:
+def _length_within(a: Float[np.ndarray, "k 3"], b: Float[np.ndarray, "k 3"], radius_m: float) -> Float[np.ndarray, "k"]:
     """Return the length of the part of each segment from a to b that lies within a radius of the origin [m]."""
     d = b - a
     square = np.maximum((d * d).sum(axis=1), 1e-300)

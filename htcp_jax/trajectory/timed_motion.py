@@ -9,6 +9,8 @@ from htcp_jax.status import Kind
 
 LINEAR, QUINTIC, STRAIGHT = "linear", "quintic", "straight"  # how players join configurations, see `deviation`
 
+DECIMALS = 9  # of numbers in files
+
 
 class TimedMotion(NamedTuple):
     """Samples of a motion: configurations, velocities and accelerations with their times."""
@@ -28,3 +30,9 @@ class TimedMotion(NamedTuple):
     def is_process(self) -> Bool[np.ndarray, "n"]:
         """True for rows to which the tool follows the path, or stays on it."""
         return np.isin(self.kind, (Kind.PROCESS, Kind.DWELL))
+
+    @property
+    def rounded(self) -> "TimedMotion":
+        """The motion in steps of 1e-9 rad, m and s, as in files of decimal numbers."""
+        numbers = self.time_s, self.x, self.velocity, self.acceleration
+        return TimedMotion(*(np.round(values, DECIMALS) + 0.0 for values in numbers), *self[4:])

@@ -1,4 +1,4 @@
-"""CSV format of robot programs: one line per sample; numbers are written without loss of precision."""
+"""CSV format of robot programs: one line per sample; numbers have nine decimals."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ def csv_text(timed: TimedMotion, controller: ControllerData) -> str:
     The columns are `time_s`, `kind`, `target`, with several seams `seam`, and for each joint its value `<joint>_rad`,
     its velocity `<joint>_rad_s` and its acceleration `<joint>_rad_s2`; for a slide m replaces rad.
     """
-    stream = io.StringIO()
+    timed, stream = timed.rounded, io.StringIO()
     stream.writelines(f"# {line}\n" for line in header(timed))
     units = ["m" if slides else "rad" for slides in controller.slides]
     names = [f"{name}_{unit}" for name, unit in zip(timed.joint_names, units, strict=True)]

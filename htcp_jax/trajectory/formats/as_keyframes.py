@@ -3,7 +3,7 @@
     <include file="weld.xml"/>
 
 Each `key` has a time, qpos and qvel (MJCF reference, keyframe/key). The model must have exactly these joints, in the
-same order, which is that of the arm's model file. Numbers round-trip exactly.
+same order, which is that of the arm's model file. Numbers have nine decimals.
 """
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
@@ -17,6 +17,7 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 def keyframes_text(timed: TimedMotion, controller: ControllerData) -> str:
     """Return the file's text, one key per sample, named by its number and `status.Kind`."""
+    timed = timed.rounded
     order = list(range(len(timed.joint_names)) if controller.in_file is None else controller.in_file)
     names = ", ".join((*timed.joint_names, *controller.locked)[k] for k in order)
     about = header(timed, f"qpos and qvel are those of {names}, in this order.")

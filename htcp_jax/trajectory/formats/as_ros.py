@@ -1,7 +1,7 @@
 """ROS 2's trajectory_msgs/msg/JointTrajectory, in YAML and in JSON.
 
-Both contain the message's fields by name, so that a message can be filled from the file. Numbers round-trip exactly;
-times are rounded to the message's nanoseconds. Sources: the message definitions of trajectory_msgs (JointTrajectory,
+Both contain the message's fields by name, so that a message can be filled from the file. Numbers have nine decimals,
+and times the message's nanoseconds. Sources: the message definitions of trajectory_msgs (JointTrajectory,
 JointTrajectoryPoint), std_msgs (Header) and builtin_interfaces (Time, Duration).
 """
 
@@ -42,6 +42,7 @@ def ros_json_text(timed: TimedMotion, controller: ControllerData) -> str:
 
 
 def _trajectory_points(timed: TimedMotion) -> Iterator[dict]:
+    timed = timed.rounded
     states = (timed.x.tolist(), timed.velocity.tolist(), timed.acceleration.tolist())
     for time_s, *state in zip((timed.time_s - timed.time_s[0]).tolist(), *states, strict=True):
         point = dict(zip(("positions", "velocities", "accelerations"), state, strict=True))
