@@ -138,6 +138,21 @@ def test_the_gate_and_the_report_name_the_seam(swept, capsys):
     capsys.readouterr()
 
 
+def test_a_run_is_timed_with_each_seams_own_feed_unless_one_is_given(tmp_path, capsys):
+    file = write_sweep(tmp_path, {"margin_m": [0.001]}, seams=(LEFT | {"feed": "7mm/s"}, BACK))
+    job = yaml.safe_load((tmp_path / "job.yaml").read_text())
+    program = {"feed": "20mm/s", "velocity": [2.0] * 4}
+    (tmp_path / "job.yaml").write_text(yaml.safe_dump(job | {"program": program}))
+    sweep(file, tmp_path / "run", 2)
+    assert main(["program", str(tmp_path / "run"), "--all"]) == 0
+    own = open_run(tmp_path / "run").scenarios().to_pylist()
+    assert "7 to 20 mm/s by seam" in capsys.readouterr().out
+    assert main(["program", str(tmp_path / "run"), "--all", "--feed", "20mm/s"]) == 0
+    same = open_run(tmp_path / "run").scenarios().to_pylist()
+    assert [row["feed_m_s"] for row in own + same] == [0.007, 0.02, 0.02, 0.02]
+    assert own[0]["path_time_s"] > 2 * same[0]["path_time_s"] and own[1]["path_time_s"] == same[1]["path_time_s"]
+
+
 def test_reachability_has_a_row_for_each_seam(swept, capsys):
     job = str(write_job(swept, LEFT, BACK))
     words = ["--resolution", "0.5", "--proof-cells", "0", "--out", str(swept / "reach"), "--json"]

@@ -37,6 +37,7 @@ SCHEMA = pa.schema(
     ]
 )
 COLUMNS = tuple(SCHEMA.names[1:])
+SEAM_FEEDS = "seam_feeds"  # key of `Timing.limits`: feeds by the seam's name [m/s]
 
 
 @runtime_checkable
@@ -52,8 +53,8 @@ class ResultShard(Protocol):
 class Timing(NamedTuple):
     """The times of one method's scenarios."""
 
-    feed_m_s: float  # required feed rate
-    limits: dict[str, Any]  # joint limits and other keys of the job's section `program`
+    feed_m_s: float  # required feed rate; with feeds by seam, the largest one
+    limits: dict[str, Any]  # joint limits and other keys of the job's section `program`, and SEAM_FEEDS
     rows: pa.Table  # one row per scenario, including scenarios without a complete motion
 
     @property
@@ -67,7 +68,10 @@ class Timing(NamedTuple):
         model = "" if "velocity" in own else "velocity by the model"
         rest = [f"full {name} in {self.limits[f'full_{name}_s']:g} s" for name in ("speed", "acceleration")]
         kept = [text for text, by in zip(rest, LIMITS[1:], strict=True) if by not in own]
-        return f"{1e3 * self.feed_m_s:g} mm/s; limits: {', '.join(filter(None, (given, model, *kept)))}"
+        seams = self.limits.get(SEAM_FEEDS, {})
+        feeds = f"{1e3 * min(seams.values()):g} to " if seams else ""
+        feeds += f"{1e3 * self.feed_m_s:g} mm/s{' by seam' if seams else ''}"
+        return f"{feeds}; limits: {', '.join(filter(None, (given, model, *kept)))}"
 
     @property
     def timed(self) -> pa.Table:

@@ -32,7 +32,7 @@ from htcp_jax.trajectory.figures import ProgramFigures, program_figures
 from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torques, torques
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.limits_file import check_ranges, limits_of_job
-from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, timed_plan, with_program
+from htcp_jax.trajectory.plan_program import PlanProgram, requested_feed, requested_feeds, timed_plan, with_program
 from htcp_jax.trajectory.program import NothingToTimeError
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -46,7 +46,8 @@ NEAR_PART = "near_part_m", "near_part_speed"  # more keys, if programs are slowe
 class _TimingSettings(NamedTuple):
     """Feed rate and overrides with which a run is timed."""
 
-    feed_m_s: float
+    feed_m_s: float  # with feeds by seam, the largest one
+    seam_feeds: dict[str, float]  # by the seam's name [m/s]; empty: one feed
     overrides: tuple[str, ...]
 
 
@@ -73,7 +74,7 @@ def time_run(
 
     Args:
         run: The run.
-        feed: Feed rate of the TCP on the path, such as "20mm/s"; None: the job's.
+        feed: Feed rate of the TCP on the path, such as "20mm/s"; None: the seams' own, or the job's.
         methods: Names of methods; None: all methods with results.
         overrides: Changes to the job's section `program`, as on the command line.
         stated: Limits in a file, whose ranges all motions must satisfy; None: no file. Its other limits are overrides,
@@ -91,7 +92,11 @@ def time_run(
             be written.
         Interrupted: On SIGINT and SIGTERM; finished times are kept.
     """
-    requested = _TimingSettings(requested_feed(feed, with_program(run.config, overrides)), tuple(overrides))
+    job = with_program(run.config, overrides)
+    feeds = requested_feeds(feed, job)
+    by_seam = () if isinstance(feeds, float) else feeds
+    seam_feeds = dict(zip((seam.name for seam in job.workpiece.seams), by_seam, strict=False))
+    requested = _TimingSettings(max(by_seam, default=feeds), seam_feeds, tuple(overrides))
     timer = _Timer(plan_sets.plans_of_run(run), requested)
     chosen = _chosen_methods(timer.found, methods)
     check_limits(timer.jobs)
@@ -180,7 +185,13 @@ class _Timer:
                 for kind in RATES
                 if limits[kind] is None and not np.isnan(stated.rates(kind)).all()
             }
+        if self.requested.seam_feeds:
+            limits[timing_file.SEAM_FEEDS] = self.requested.seam_feeds
         return timing_file.Timing(self.requested.feed_m_s, limits, timing_file.SCHEMA.empty_table())
+
+    def feed_m_s(self, scenario: int) -> float:
+        """Return the required feed rate of a scenario: its seam's own, or that of the run."""
+        return requested_feed(None, self.jobs[scenario]) if self.requested.seam_feeds else self.requested.feed_m_s
 
     def known(self, method: str) -> timing_file.Timing:
         """Return a method's existing times if they have the same settings, else a `Timing` without rows.
@@ -209,7 +220,7 @@ class _Timer:
         robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
         limits = joint_limits(robot, job.program, self._limits_in_file(job))
         try:
-            made = timed_plan(plans, scenario, job, robot, goals, limits, self.requested.feed_m_s, method)
+            made = timed_plan(plans, scenario, job, robot, goals, limits, self.feed_m_s(scenario), method)
         except NothingToTimeError:
             return None
         return _TimedScenario(program_figures(made.program, made.limits), self._timed(made), np.asarray(robot.effort))
@@ -268,7 +279,7 @@ def _time_method(
         found = find(method, numbers)
         loads = timer.loads(numbers, found)
         rows = [
-            _timing_row(number, known.feed_m_s, one, loads.get(number))
+            _timing_row(number, timer.feed_m_s(number), one, loads.get(number))
             for number, one in zip(numbers, found, strict=True)
         ]
         known = known._replace(rows=pa.concat_tables([known.rows, pa.Table.from_pylist(rows, timing_file.SCHEMA)]))
