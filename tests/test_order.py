@@ -137,6 +137,18 @@ def test_the_search_for_long_tours_finds_the_shortest_order_of_few_groups(seed, 
     np.testing.assert_allclose([found.cost, cost_of(found, *case)], least, rtol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bound_of_a_long_tour_is_below_the_shortest_order_and_keeps_the_tour(seed, monkeypatch):
+    monkeypatch.setattr("htcp_jax.sequencing.order.FEW", 0)
+    monkeypatch.setattr("htcp_jax.sequencing.tour_bound.MOST_SINKS", 0)
+    case = job(seed, groups=6)
+    tour = shortest_order(*case, seed=seed, effort=0.01, only="tour")
+    found = shortest_order(*case, seed=seed, effort=1.0, hint=tour.nodes, only="bound")
+    _, least = shortest_by_trial(*case)
+    assert (tour.bound, found.nodes) == (0.0, tour.nodes)
+    assert 0.5 * least < found.bound <= least * (1 + 1e-9)
+
+
 @pytest.mark.parametrize("most", [0, 1, 3, 1000])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_gap_that_is_closed_in_part_contains_no_shorter_tour(seed, most):

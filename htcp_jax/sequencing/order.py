@@ -9,7 +9,7 @@ left to CP-SAT, because alone it proves no useful bound for 14 groups of 8 nodes
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -51,6 +51,7 @@ def shortest_order(
     seed: int,
     effort: float,
     hint: list[int] | None = None,
+    only: Literal["tour", "bound"] | None = None,
 ) -> Order:
     """Return a short tour that visits one node of each group, with a lower bound on the cost of all tours.
 
@@ -67,6 +68,7 @@ def shortest_order(
         seed: Seed of the search.
         effort: Work, about the seconds that it takes on one idle core of 3 GHz [s].
         hint: Nodes of a tour that is known, in order of travel.
+        only: For more than FEW groups "tour" omits the bound, which is then 0, and "bound" keeps the tour of `hint`.
 
     Returns:
         The tour. The bound is 0 if nothing better was proven; if it is more, no tour visits more groups.
@@ -100,7 +102,7 @@ def shortest_order(
     groups, inner = np.unique(group[kept], return_inverse=True)
     problem = _Problem(inner, cost[np.ix_(rows, rows)], after[np.ix_(groups, groups)])
     start = [known[node] for node in hint or [] if node in known]
-    tour, bound = _solve(cp_model, problem, start, seed, effort)
+    tour, bound = _solve(cp_model, problem, start, seed, effort, only)
     return Order([int(kept[node]) for node in tour], problem.cost_of(tour), bound)
 
 
@@ -154,19 +156,31 @@ def _possible(cost: Float[np.ndarray, "N N"]) -> Int[np.ndarray, "k"]:
     return np.flatnonzero(found[:-1])
 
 
-def _solve(cp_model, problem: _Problem, start: list[int], seed: int, effort: float) -> tuple[list[int], float]:
+def _solve(
+    cp_model,
+    problem: _Problem,
+    start: list[int],
+    seed: int,
+    effort: float,
+    only: Literal["tour", "bound"] | None = None,
+) -> tuple[list[int], float]:
     """Best tour, and a lower bound on tours that visit as many groups [s]."""
     group, cost, before = problem
     count, home = len(before), len(group)
     costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
     hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
-    find = search if count <= FEW else search_long
-    share = SHARES[0] if count <= MOST_GROUPS else 1.0
-    order, length = find(costs, np.random.default_rng(seed), share * effort, hint)
-    if length >= costs.far:
-        return _skipping(cp_model, problem, without_far(costs, order), seed, effort / 2)
-    tour = nodes_of(costs, order)
+    only = only if count > FEW else None
+    if only == "bound" and hint is not None:
+        tour = start
+    else:
+        share, find = SHARES[0] if count <= MOST_GROUPS else 1.0, search if count <= FEW else search_long
+        order, length = find(costs, np.random.default_rng(seed), share * effort, hint)
+        if length >= costs.far:
+            return _skipping(cp_model, problem, without_far(costs, order), seed, effort / 2)
+        tour = nodes_of(costs, order)
     length = problem.cost_of(tour)
+    if only == "tour":
+        return tour, 0.0
     cost = np.where(_excluded(group, before), np.inf, cost)
     lower = tour_bound(group, cost, before, tour, max(10, int(ROUNDS * effort * min(1.0, FEW_NODES / home))))
     if lower.cost >= length * (1 - 1e-9):

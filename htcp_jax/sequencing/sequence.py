@@ -9,7 +9,7 @@ plans is found with the lower bounds of the air moves that are not proven.
 
 import threading
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -77,7 +77,8 @@ def find_sequence(
     cost, is_known, ratio = _times(moves, least)
     best, hint = (np.inf, list[int]()), None
     for number in range(1, ROUNDS + 1):
-        order = _order(nodes, np.where(is_known, cost, ratio * cost), moves.home, before, seed, effort, hint)
+        estimated = np.where(is_known, cost, ratio * cost)
+        order = _order(nodes, estimated, moves.home, before, seed, effort, hint, "tour")
         pairs, hint = _pairs(nodes, order.nodes, moves.home), order.nodes
         new = [pair for pair in pairs if not moves.is_known(*pair)]
         if new:
@@ -89,7 +90,7 @@ def find_sequence(
         if not new:
             break
     time_s, chosen = best
-    bound_s = _order(nodes, cost, moves.home, before, seed, BOUND_EFFORT, chosen).bound
+    bound_s = _order(nodes, cost, moves.home, before, seed, BOUND_EFFORT, chosen, "bound").bound
     legs = [moves.between(*pair) for pair in _pairs(nodes, chosen, moves.home)]
     retract = legs.pop() if legs and moves.home is not None else None
     return SeamSequence([plans[k] for k in chosen], legs, retract, time_s, min(bound_s, time_s))
@@ -193,13 +194,14 @@ def _order(
     seed: int,
     effort: float,
     hint: list[int] | None,
+    only: Literal["tour", "bound"],
 ) -> Order:
     """Return the shortest order for some times of air moves between configurations [s]."""
     free = np.zeros(len(nodes.seam))
     begin, end = (free, free) if home is None else (cost[home, nodes.begin], cost[nodes.end, home])
     between = cost[nodes.end[:, None], nodes.begin[None]]
     costs = nodes.own_s, between, begin, end
-    return shortest_order(nodes.seam, *costs, before, seed=seed, effort=effort, hint=hint)
+    return shortest_order(nodes.seam, *costs, before, seed=seed, effort=effort, hint=hint, only=only)
 
 
 def _pairs(nodes: _Nodes, order: Sequence[int], home: int | None) -> list[tuple[int, int]]:

@@ -17,6 +17,8 @@ CUTS_PER_ROUND = 80
 COLUMNS_PER_ROUND = 3000
 SETTLED = 100  # columns that a round may add, and still count for the end
 STALLED, RISE = 6, 0.002  # the bound stops if it rose by less than this share of the gap in so many rounds
+MOST_SINKS = 80  # groups to each of which a minimum cut is computed; of more, one in each part of the flow
+STRONG = 0.5  # flow that connects two groups to a part
 SCALE = 1_000_000  # capacities of a minimum cut are integers
 
 
@@ -138,7 +140,8 @@ def _cuts(between: Float[np.ndarray, "M M"], before: Bool[np.ndarray, "m m"]) ->
     flow[: m + 1, :m] = between[:, :m]
     flow[:m, m + 1] = between[:m, m]
     capacity = np.rint(flow * SCALE).astype(np.int32)
-    cases = [(m, j, np.append(before[j], [False, True])) for j in range(m)]
+    into = range(m) if m <= MOST_SINKS else _one_of_each_part(between[:m, :m])
+    cases = [(m, j, np.append(before[j], [False, True])) for j in into]
     cases += [(j, m + 1, np.append(before[:, j], [True, False])) for j in range(m) if before[:, j].any()]
     for i, j in np.argwhere(before):
         cases.append((i, j, np.append(before[:, i] | before[j], [True, True])))
@@ -153,6 +156,13 @@ def _cuts(between: Float[np.ndarray, "M M"], before: Bool[np.ndarray, "m m"]) ->
             found.setdefault(made.tobytes(), (value, made))
     ordered = sorted(found.values(), key=lambda pair: pair[0])[:CUTS_PER_ROUND]
     return np.array([made for _, made in ordered]).reshape(-1, m + 1, m + 1)
+
+
+def _one_of_each_part(between: Float[np.ndarray, "m m"]) -> list[int]:
+    """Return the first group of each part that moves with a flow of at least STRONG connect."""
+    from scipy.sparse.csgraph import connected_components
+
+    return np.unique(connected_components(between >= STRONG, directed=False)[1], return_index=True)[1].tolist()
 
 
 def _minimum_cut(capacity, source: int, sink: int, removed) -> tuple[float, np.ndarray]:
