@@ -25,6 +25,7 @@ ROUNDS, FEW_NODES = 12, 320  # linear programs of the bound for each unit of eff
 MOVES = 20_000  # in CP-SAT's model at most: with more it closed none of the gaps that were measured
 MOVES_SKIPPING = 150_000  # the same, if it decides which groups are skipped
 FEW = 80  # groups: beyond these, the search keeps the nodes of groups that it does not move
+AGAIN = 0.4  # share of the effort of a search that begins with a known long tour
 SHARES = 0.4, 0.2, 0.4  # of the effort: for the search, for CP-SAT, and for states between tour and bound
 STATE_WORK_S = 4e-6  # work of a state [s]
 
@@ -170,6 +171,8 @@ def _solve(
     costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
     hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
     only = only if count > FEW else None
+    if only == "tour" and hint is not None:
+        effort *= AGAIN
     if only == "bound" and hint is not None:
         tour = start
     else:

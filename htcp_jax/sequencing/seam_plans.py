@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import devices, tables
 from htcp_jax.model import Scenario
-from htcp_jax.motion import Plans, Problem, ViaPoints, configurations, transfers
+from htcp_jax.motion import CollisionChecker, Plans, Problem, ViaPoints, configurations, transfers
 from htcp_jax.planning import Method, batch
 from htcp_jax.settings import Settings
 from htcp_jax.status import Status
@@ -76,6 +76,8 @@ def plan_seams(
     reversible = np.array([_is_reversible(scenarios, v, int(r)) for v, r in enumerate(variants.reverse)], bool)
     is_second = reversible & (variants.reverse < every)  # planned from home only if its reverse does not serve it
     is_point = scenarios.count == scenarios.on_path + 1
+    if is_point.all():  # only the configurations at the points are kept, no motion
+        problem = replace(problem, settings=replace(problem.settings, smooth=False))
     usable = np.isin(every, problem.to_plan) & (reversible | variants.is_allowed) & ~(is_point & is_second)
     nothing = problem.empty_plans()
     best = {int(s): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, s in enumerate(seam)}
@@ -153,10 +155,14 @@ class _Configurations(NamedTuple):
     @classmethod
     def sampled(cls, problem: Problem, variant: Int[np.ndarray, "_"]) -> "_Configurations":
         """Return random configurations of some variants."""
-        checker = problem.checkers[0]
-        with devices.on(checker.executor.device):
-            at, lane = transfers.other_configurations(problem, checker, variant, SAMPLES_ROUND)
-        return cls(variant[lane], at.x)
+
+        def sample(checker: CollisionChecker, share: slice) -> "_Configurations":
+            at, lane = transfers.other_configurations(problem, checker, variant[share], SAMPLES_ROUND)
+            return cls(variant[share][lane], at.x)
+
+        parts = problem.in_threads(sample, min(problem.threads, len(variant)))
+        found = cls(*(np.concatenate(both) for both in zip(*parts, strict=True)))
+        return cls(*(values[np.argsort(found.variant, kind="stable")] for values in found))
 
     @classmethod
     def near(cls, problem: Problem, variant: Int[np.ndarray, "_"], x: Float[np.ndarray, "m N"]) -> "_Configurations":
