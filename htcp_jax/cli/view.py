@@ -15,7 +15,7 @@ from htcp_jax.cli.motion_options import Format, Interpolation, Unit
 from htcp_jax.cli.output import Overrides, Seed, progress_bar, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import seeded, source_of
+from htcp_jax.jobs import seeded
 from htcp_jax.runs import open_plans
 from htcp_jax.spec import examples
 from htcp_jax.system import stop_message
@@ -142,6 +142,6 @@ def _replays_and_programs(
             raise InputError(f"--set and --seed change a job, and {what} is a run folder; omit them")
         found, how = open_plans(what), {"retract": retract, "overrides": overrides}
         return recorded_replays(found), lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
-    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), source_of(what))
+    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), what, overrides)
     of_job = name, plan.plans, 0, plan.job, feed_m_s
     return replays_of(name, plan), lambda _, by: program_of_plans(*of_job, by, retract=retract)
