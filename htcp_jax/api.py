@@ -30,7 +30,7 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, failure_texts, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, ToolAxisRow, obstacle_kind, tool_axis_row
-from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
+from htcp_jax.status import NOT_TRIED, SegmentStatus
 from htcp_jax.system import output_files
 
 if TYPE_CHECKING:

@@ -61,10 +61,8 @@ def test_a_segment_that_leaves_the_path_is_off_its_line_by_the_stated_length():
     off = tcp - a - ((tcp - a) @ along) * along
     assert found.off_m == pytest.approx(np.linalg.norm(off), abs=1e-6) and found.off_m > 1e-4
     assert f"leaves the path by {1e3 * found.off_m:.3g} mm, 0.1 mm allowed" in found.description("")
-    job = load_config(None)
-    (line,) = failure_texts.next_step(
-        _end(Status.PATH_BLOCKED), found._replace(off_m=2.04e-4), {}, job, "job.yaml"
-    ).values()
+    found = found._replace(off_m=2.04e-4)
+    line = failure_texts.next_step(_end(Status.PATH_BLOCKED), found, {}, load_config(None), "job.yaml")["next"]
     assert line.startswith("htcp plan job.yaml --set settings.path_tolerance_m=0.0003 ")
 
 

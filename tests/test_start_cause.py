@@ -79,10 +79,8 @@ def test_the_pair_with_the_minimum_clearance_is_named():
     found = closest_bodies(problem, np.zeros(4))
     assert (found.body, found.other) == ("capsule forearm", "the workpiece")
     np.testing.assert_allclose(found.point, [0.0, 0.15, 0.9], atol=1e-12)
-    assert (
-        found.description
-        == f"capsule forearm comes within {-1e3 * found.depth_m:.3g} mm of the workpiece at (0.00, 0.15, 0.90) m"
-    )
+    text = f"capsule forearm comes within {-1e3 * found.depth_m:.3g} mm of the workpiece at (0.00, 0.15, 0.90) m"
+    assert found.description == text
 
 
 def test_the_attempt_with_the_least_overlap_is_kept():

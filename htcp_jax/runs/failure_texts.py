@@ -1,12 +1,11 @@
-"""Text about a plan that ends early: its reason, the clearance next to the one that is aimed at, and the next command."""
+"""Text about a plan that ends early: the reason, the clearance next to the one aimed at, and the next command."""
 
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from htcp_jax.motion import Tried
-from htcp_jax.motion.plans import Outcome
+from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
 from htcp_jax.spec import PlanConfig
@@ -29,7 +28,7 @@ def arguments(config: str | Path | Mapping[str, Any] | None, overrides: Sequence
     return shlex.join([*name, *(part for key, value in changes for part in ("--set", f"{key}={value}"))])
 
 
-def reason(end: Outcome, refused: RefusedSegment | None) -> str:
+def reason(end: plans.Outcome, refused: RefusedSegment | None) -> str:
     """Return the reason why a plan ends, without what the row `segment` says if there is one."""
     if end.status == Status.PATH_BLOCKED and refused is not None:
         return "clear configurations were found there, but no segment to one of them was accepted"
@@ -64,7 +63,7 @@ def aim(refused: RefusedSegment, job: PlanConfig) -> dict[str, str]:
 
 
 def next_step(
-    end: Outcome, refused: RefusedSegment | None, dead_ends: Mapping[int, Tried], job: PlanConfig, given: str
+    end: plans.Outcome, refused: RefusedSegment | None, dead_ends: Mapping[int, Tried], job: PlanConfig, given: str
 ) -> dict[str, str]:
     """Return a line with one command to run next, for a plan that ends early; {} if none is known.
 
@@ -88,7 +87,7 @@ def next_step(
     return {"next": " ".join(filter(None, ["htcp plan", given, f"--set {change[0]}"])) + f"   {change[1]}"}
 
 
-def _change(end: Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
+def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
     """Return the change of one key that is the most likely to help, and what it does; None if none is."""
     settings, by_beam = job.settings, job.method == "beam"
     if refused is not None and refused.verdict == SegmentStatus.VALID:
