@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+RATED = 10  # tracked targets of a plan that ends early from which on `facts` reports the time per target
 NOTABLE_RAD = 0.1  # `facts` reports the first segment if the joints travel farther than this from the given start
 
 
@@ -102,7 +103,7 @@ class Plan:
             **self._distances(),
             **self._singular(),
             "workpiece": self.workpiece_place,
-            "planning time": f"{s.run_s:.2f} s ({s.step_ms:.2f} ms per target), and {s.compile_s:.2f} s of compilation",
+            "planning time": f"{s.run_s:.2f} s{self._rate()}, and {s.compile_s:.2f} s of compilation",
             **self._checked(),
         }
         return facts | self._details() if verbose else facts
@@ -139,6 +140,11 @@ class Plan:
         first = int(self.scenario.on_path)
         known = self.manipulability[first:]
         return None if np.isnan(known).all() else first + int(np.nanargmin(known))
+
+    def _rate(self) -> str:
+        """Return the time per target as text; "" for a few targets, where the search for others prevails."""
+        s = self.summary
+        return f" ({s.step_ms:.2f} ms per target)" if s.tracked >= RATED or self.complete else ""
 
     def _length(self) -> dict[str, str]:
         """Return a line with the lengths of the motion in joint space and of the TCP's path; {} without a motion."""

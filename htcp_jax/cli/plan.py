@@ -216,5 +216,6 @@ class _Search:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
         is_long = not now.phase and self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
         self._text = f"; searching for a motion to target {self._tracked}" if is_long and now.starts != 0 else ""
-        phase = "; finding the start" if now.starts == 0 else ""
+        drawn, most = now.draws
+        phase = f"; looking for a start: {drawn:,} of {most:,} configurations" if now.starts == 0 else ""
         self._progress(self._tracked, now.targets, phase + self._text + now.phase)

@@ -1,0 +1,72 @@
+"""Lines that show that a command is at work while it has nothing else to show.
+
+Between two progress bars, before the first and after the last one, a command loads modules, reads files, or draws
+pictures. If this takes longer than the time between two lines of progress, a line with the elapsed time is printed.
+"""
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from datetime import timedelta
+
+LINE_S = 10.0  # maximum time between two lines of progress [s]
+
+
+class Heartbeat:
+    """Time of the last line of progress, and whether a progress bar is shown."""
+
+    def __init__(self):
+        self._last_s, self._bars, self._ended = time.monotonic(), 0, threading.Event()
+
+    def wait_s(self, line_s: float) -> float:
+        """Return the time until the next line is due [s].
+
+        Args:
+            line_s: Maximum time between two lines [s].
+        """
+        return max(0.0, self._last_s + line_s - time.monotonic())
+
+    def print(self, line: str) -> None:
+        """Print a line of progress to stderr, unless stderr is closed."""
+        with contextlib.suppress(OSError, ValueError):
+            print(f"htcp: {line}", file=sys.stderr, flush=True)
+        self._last_s = time.monotonic()
+
+    @contextlib.contextmanager
+    def bar(self) -> Iterator[None]:
+        """While the context is open, a progress bar shows what is done."""
+        self._bars += 1
+        try:
+            yield
+        finally:
+            self._bars -= 1
+
+    @contextlib.contextmanager
+    def command(self, name: str) -> Iterator[None]:
+        """Print a line with the command's name and the elapsed time whenever there was none for LINE_S, and no bar.
+
+        Args:
+            name: Name of the command.
+        """
+        self._last_s, self._ended, began = time.monotonic(), threading.Event(), time.monotonic()
+        ended = self._ended
+
+        def beat() -> None:
+            while not ended.wait(max(0.05, self.wait_s(LINE_S))):
+                if not self._bars and not self.wait_s(LINE_S):
+                    self.print(f"{name}: at work {timedelta(seconds=int(time.monotonic() - began))}")
+
+        threading.Thread(target=beat, daemon=True).start()
+        try:
+            yield
+        finally:
+            ended.set()
+
+    def end(self) -> None:
+        """End the lines of the current command, which waits from now on."""
+        self._ended.set()
+
+
+HEARTBEAT = Heartbeat()  # of this process
