@@ -18,7 +18,8 @@ class Heartbeat:
     """Time of the last line of progress, and whether a progress bar is shown."""
 
     def __init__(self):
-        self._last_s, self._bars, self._ended = time.monotonic(), 0, threading.Event()
+        self.began_s = self._last_s = time.monotonic()  # `began_s`: when the current command began
+        self._bars, self._ended = 0, threading.Event()
 
     def wait_s(self, line_s: float) -> float:
         """Return the time until the next line is due [s].
@@ -50,8 +51,8 @@ class Heartbeat:
         Args:
             name: Name of the command.
         """
-        self._last_s, self._ended, began = time.monotonic(), threading.Event(), time.monotonic()
-        ended = self._ended
+        self.began_s = self._last_s = began = time.monotonic()
+        self._ended = ended = threading.Event()
 
         def beat() -> None:
             while not ended.wait(max(0.05, self.wait_s(LINE_S))):

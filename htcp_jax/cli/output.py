@@ -4,9 +4,7 @@ Progress and warnings go to stderr. If stderr is not a terminal, progress is pri
 NO_COLOR disables colours.
 """
 
-import contextlib
 import shutil
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
