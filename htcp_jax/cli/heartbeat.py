@@ -8,7 +8,7 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import timedelta
 
 LINE_S = 10.0  # maximum time between two lines of progress [s]
@@ -19,7 +19,7 @@ class Heartbeat:
 
     def __init__(self):
         self.began_s = self._last_s = time.monotonic()  # `began_s`: when the current command began
-        self._bars, self._ended = 0, threading.Event()
+        self._bars, self._ended = list[Callable[[], bool]](), threading.Event()
 
     def wait_s(self, line_s: float) -> float:
         """Return the time until the next line is due [s].
@@ -36,13 +36,13 @@ class Heartbeat:
         self._last_s = time.monotonic()
 
     @contextlib.contextmanager
-    def bar(self) -> Iterator[None]:
-        """While the context is open, a progress bar shows what is done."""
-        self._bars += 1
+    def bar(self, is_shown: Callable[[], bool]) -> Iterator[None]:
+        """While the context is open and the function returns True, a progress bar shows what is done."""
+        self._bars.append(is_shown)
         try:
             yield
         finally:
-            self._bars -= 1
+            self._bars.remove(is_shown)
 
     @contextlib.contextmanager
     def command(self, name: str) -> Iterator[None]:
@@ -56,7 +56,7 @@ class Heartbeat:
 
         def beat() -> None:
             while not ended.wait(max(0.05, self.wait_s(LINE_S))):
-                if not self._bars and not self.wait_s(LINE_S):
+                if not self.wait_s(LINE_S) and not any(is_shown() for is_shown in self._bars):
                     self.print(f"{name}: at work {timedelta(seconds=int(time.monotonic() - began))}")
 
         threading.Thread(target=beat, daemon=True).start()

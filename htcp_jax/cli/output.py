@@ -123,7 +123,7 @@ def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: 
     columns = *columns[:-1], CompilingColumn(), columns[-1]
     console, ended = Console(stderr=True), threading.Event()
     drawn = Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how)
-    with HEARTBEAT.bar(), drawn as bars:
+    with HEARTBEAT.bar(lambda: bool(drawn.tasks)), drawn as bars:
         if not console.is_terminal:
             every_s = line_s or heartbeat.LINE_S
             threading.Thread(target=_print_lines, args=(bars, ended, every_s), daemon=True).start()
