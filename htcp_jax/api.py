@@ -23,14 +23,14 @@ from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
-from htcp_jax.planning import LostPlace, batch, lost_place, registry
+from htcp_jax.planning import LostPlace, RefusedSegment, batch, lost_place, refused_segment, registry
 from htcp_jax.planning import methods as planning_methods
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
-from htcp_jax.runs import MotionSummary, SeamOrder, plan_folder, provenance, summarise_motion
+from htcp_jax.runs import MotionSummary, SeamOrder, failure_texts, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, ToolAxisRow, obstacle_kind, tool_axis_row
-from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
+from htcp_jax.status import NOT_TRIED, SegmentStatus
 from htcp_jax.system import output_files
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+RATED = 10  # tracked targets of a plan that ends early from which on `facts` reports the time per target
 NOTABLE_RAD = 0.1  # `facts` reports the first segment if the joints travel farther than this from the given start
 
 
@@ -53,6 +54,7 @@ class Plan:
     obstacles: Obstacles = ()  # those in addition to the workpiece
     device: str | None = None  # name of the device that planned the job, see `device.devices`; None: a GPU, if any
     order: SeamOrder | None = None  # order of the seams and reasons for missing ones; None for one seam
+    arguments: str = "JOB"  # the job as arguments of a command, for the next step after a failure
 
     @cached_property
     def summary(self) -> summaries.Summary:
@@ -101,7 +103,7 @@ class Plan:
             **self._distances(),
             **self._singular(),
             "workpiece": self.workpiece_place,
-            "planning time": f"{s.run_s:.2f} s ({s.step_ms:.2f} ms per target), and {s.compile_s:.2f} s of compilation",
+            "planning time": f"{s.run_s:.2f} s{self._rate()}, and {s.compile_s:.2f} s of compilation",
             **self._checked(),
         }
         return facts | self._details() if verbose else facts
@@ -138,6 +140,11 @@ class Plan:
         first = int(self.scenario.on_path)
         known = self.manipulability[first:]
         return None if np.isnan(known).all() else first + int(np.nanargmin(known))
+
+    def _rate(self) -> str:
+        """Return the time per target as text; "" for a few targets, where the search for others prevails."""
+        s = self.summary
+        return f" ({s.step_ms:.2f} ms per target)" if s.tracked >= RATED or self.complete else ""
 
     def _length(self) -> dict[str, str]:
         """Return a line with the lengths of the motion in joint space and of the TCP's path; {} without a motion."""
@@ -197,8 +204,8 @@ class Plan:
         if not np.isfinite(clearance[at]):
             return {}
         with devices.on(devices.choose(self.device)[0]):
-            body, other = start_causes.nearest_bodies(self._problem, np.asarray(self.plans.x[0, at]))
-        return {"minimum clearance": f"at target {at}: {body} next to {other}"}
+            found = start_causes.closest_bodies(self._problem, np.asarray(self.plans.x[0, at]))
+        return {"minimum clearance": f"at target {at}: {found.body} next to {found.other}"}
 
     def _distances(self) -> dict[str, str]:
         s, required = self.summary, self._required()
@@ -290,6 +297,21 @@ class Plan:
         one = scenarios.stack([self.scenario])
         return Problem(self.robot, self.workpiece, one, self.job.settings, task, self.obstacles, execution)
 
+    @cached_property
+    def refused_segment(self) -> RefusedSegment | None:
+        """The segment to the failed target that violates its conditions the least; None if none is known.
+
+        It is measured if the search found no configuration there, or no segment to one, see `refused_segment`.
+        """
+        end, at = self.outcome, self.obstruction
+        if end.status not in failure_texts.MEASURED or end.failed is None or at is None or not at.reached:
+            return None
+        lost, problem, x_last = self._lost_place, self._problem, self.plans.before(0, end.failed)
+        one, x_last = (self.scenario, x_last) if lost is None else (lost.scenario, lost.x_last)
+        limited = scenarios.with_max_joint_step(scenarios.stack([one]), self.job.settings.max_joint_step_rad)
+        with devices.on(devices.choose(self.device)[0]):
+            return refused_segment(problem.with_scenarios(limited), x_last, end.failed, at.x)
+
     @property
     def _nearest_attempt(self) -> Obstruction | None:
         """The colliding body in the configuration that came nearest to a valid beginning; None if there is none."""
@@ -313,33 +335,40 @@ class Plan:
 
     def failure(self) -> dict[str, str]:
         """Return text by label: the failed target, the reason and the colliding body; empty if the plan is complete."""
-        end = self.outcome
-        facts = {} if end.status is None else {f"failed at target {end.failed}": end.status.message}
+        if self.order is not None:
+            return self.order.failure()
+        end, refused = self.outcome, self.refused_segment
+        facts = {} if end.status is None else {f"failed at target {end.failed}": failure_texts.reason(end, refused)}
         if (lost := self._lost_place) is not None and end.failed is not None:
             place = f"{100 * lost.share:.0f} % of the way from target {end.failed - 1}"
             facts[f"failed at target {end.failed}"] += f"; at {place}"
         for target, tried in self.dead_ends.items():  # the search got past earlier dead ends
             if end.failed is not None and target >= end.failed:
-                facts[f"after the dead end at target {target}"] = tried.description
+                facts[f"after the dead end at target {target}"] = failure_texts.attempts(tried, self.job.settings)
         bound = self.job.settings.max_joint_step_rad
         if bound is not None and end.failed is not None and end.failed > self.scenario.on_path:
             facts["joint steps"] = (
                 f"settings.max_joint_step_rad allows {bound} from target to target; "
                 "try a larger bound, or targets that are closer together"
             )
-        if self.order is not None:
-            return self.order.failure()
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
-            if end.status == Status.NO_START:
-                facts["next"] = (
-                    "run htcp reachability JOB --each to test every target, or htcp place to find a mounting"
-                )
         elif self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
+        if refused is not None:
+            facts["segment"] = refused.description(self._bodies_at(refused))
+            facts |= failure_texts.aim(refused, self.job)
+        facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments)
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message
         return facts
+
+    def _bodies_at(self, refused: RefusedSegment) -> str:
+        """Return text about the bodies nearest to each other where a segment is refused; "" if it is clear there."""
+        if refused.leaves_path or refused.verdict == SegmentStatus.VALID:
+            return ""
+        with devices.on(devices.choose(self.device)[0]):
+            return start_causes.closest_bodies(self._problem, refused.x).description
 
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target, with the columns of the table of targets of a sweep."""
@@ -477,7 +506,8 @@ def plan(
     with devices.on(devices.choose(device)[0]):
         job = with_kinds(load_config(config, overrides), obstacles, task)
     chosen = None if isinstance(method, str) else method
-    return plan_job(job, chosen, source=source_of(config), progress=progress, device=device)
+    known = {"source": source_of(config), "arguments": failure_texts.arguments(config, overrides)}
+    return plan_job(job, chosen, **known, progress=progress, device=device)
 
 
 def plan_job(
@@ -485,6 +515,7 @@ def plan_job(
     method: registry.Method | None = None,
     *,
     source: str = "the configuration",
+    arguments: str = "JOB",
     progress: Callable[[batch.Progress], None] | None = None,
     device: str | None = None,
 ) -> Plan:
@@ -494,6 +525,7 @@ def plan_job(
         job: The job.
         method: The planning method; None: the job's.
         source: Name of the job, for messages.
+        arguments: The job as arguments of a command, see `Plan.arguments`.
         progress: See `plan`.
         device: See `plan`.
 
@@ -516,7 +548,7 @@ def plan_job(
         )
         plans = batch.plan(problem, chosen, progress)
         robot, scenario = with_own_tool(robot, scenario)
-    return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device)
+    return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device, arguments=arguments)
 
 
 def _plan_seams(

@@ -45,9 +45,9 @@ def forget_executables():
 @pytest.fixture(autouse=True, scope="session")
 def no_lines_of_progress():
     """Switch progress lines off, so that the output of commands does not depend on the load of the machine."""
-    from htcp_jax.cli import output  # here, because what is imported before the tests has unchecked annotations
+    from htcp_jax.cli import heartbeat  # here, because what is imported before the tests has unchecked annotations
 
-    output.LINE_S = 3600.0
+    heartbeat.LINE_S = 3600.0
 
 
 @pytest.fixture(scope="session")

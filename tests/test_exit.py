@@ -14,7 +14,7 @@ import sweep_process
 import toy
 from test_place import TOY_FILE
 
-from htcp_jax.cli import main, output
+from htcp_jax.cli import heartbeat, main, output
 from htcp_jax.cli.main import COMMANDS
 from htcp_jax.cli.plan import _Search
 from htcp_jax.cli.sweep import _sweep_bars
@@ -240,6 +240,32 @@ def test_progress_says_what_comes_before_the_first_step(capsys):
     assert lines[0].startswith("htcp: compiling; targets 0/?") and lines[-1].startswith("htcp: targets 0/21")
 
 
+def test_a_command_that_shows_nothing_else_says_that_it_is_at_work(capsys, monkeypatch):
+    monkeypatch.setattr(heartbeat, "LINE_S", 0.1)
+    with heartbeat.HEARTBEAT.command("view"):
+        time.sleep(0.5)
+        with output.progress_text("drawing"):
+            time.sleep(0.5)
+        time.sleep(0.5)
+        heartbeat.HEARTBEAT.end()
+        before = capsys.readouterr().err.splitlines()
+        time.sleep(0.3)
+    kinds = ["drawing" in line for line in before]
+    assert all(line.startswith(("htcp: view: at work 0:00:0", "htcp: drawing 0:00:0")) for line in before)
+    assert not kinds[0] and not kinds[-1] and any(kinds)
+    assert kinds.index(True) + sum(kinds) <= len(kinds) - 1  # no line of the command while a bar is shown
+    assert not capsys.readouterr().err
+
+
+def test_the_progress_of_a_plan_counts_the_configurations_drawn_to_find_a_start():
+    shown, most = [], 2048
+    search = _Search(lambda *row: shown.append(row), by_beam=True)
+    for starts, drawn in ((None, 0), (0, 0), (0, 512), (1, 512)):
+        search.update(batch.Progress(0, 1, 0, 21, starts, (drawn, most)))
+    text = "; looking for a start: {} of 2,048 configurations"
+    assert [row[2] for row in shown] == ["", text.format(0), text.format(512), ""]
+
+
 def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeypatch):
     shown, now = [], [0.0]
     monkeypatch.setattr("htcp_jax.cli.plan.time.monotonic", lambda: now[0])
@@ -254,7 +280,7 @@ def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeyp
 
 
 def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):
-    monkeypatch.setattr(output, "LINE_S", 0.05)
+    monkeypatch.setattr(heartbeat, "LINE_S", 0.05)
     with _sweep_bars() as show:
         for done, tracked, is_planning in ((0, 0, True), (3, 120, True), (6, 240, True), (6, 240, False)):
             show(SweepProgress("beam", done, 6, tracked, 240, is_planning=is_planning))

@@ -188,3 +188,11 @@ def test_a_stranger_s_arm_goes_behind_a_rib_from_home_and_mujoco_refutes_nothing
     assert rows[0].split(",")[1:] == ["TRANSFER", *map(str, home["home_rad"])]
     assert rows[-1].split(",")[1:] == ["RETRACT", *map(str, home["home_rad"])]
     assert validate_results(tmp_path / "out", between=1000).refuted == ()
+
+
+def test_configurations_drawn_to_find_a_start_are_counted_up_to_the_maximum_if_there_is_none():
+    seen, one = [], replace(toy.scenario(), auto_start=np.array(True), margin_m=np.array(0.5))  # nowhere so clear
+    toy.planned([one], progress=seen.append)
+    draws = [now.draws for now in seen if now.starts == 0]
+    assert [drawn for drawn, _ in draws] == sorted(drawn for drawn, _ in draws)
+    assert {most for _, most in draws} == {2048} and draws[-1] == (2048, 2048) and (512, 2048) in draws

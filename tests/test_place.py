@@ -27,6 +27,7 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io.arrays import parquet_bytes
 from htcp_jax.placement import PlacementResult, place
+from htcp_jax.placement.clock import Clock, PlanTime
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.placement_result import locked_search
 from htcp_jax.placement.progress import PlaceProgress
@@ -197,6 +198,58 @@ def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(h
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
 
 
+def test_a_search_that_is_stopped_before_its_first_ranking_leaves_one_of_the_quick_plans(found, here):
+    """Regression: "no plan was finished and no file was written" after minutes of search."""
+    with pytest.raises(
+        Interrupted, match=r"stopped; the ranking so far of \d mountings? is in .*ranked.json; "
+    ) as stopped:
+        place_toy(here, "out", progress=stop_at("confirm"))
+    reported = json.loads((here / "out" / "ranked.json").read_text())
+    assert f"of {len(reported['ranked'])} mounting" in str(stopped.value) and reported["finished"] is False
+    clearances = [one["objective"]["clearance"] for one in reported["ranked"]]
+    assert clearances == sorted(clearances, reverse=True)
+    plan = htcp_jax.plan(here / "out" / "best-1.yaml")  # the same motion as that of the ranking
+    assert plan.complete and plan.motion_summary.clearance_m == pytest.approx(clearances[0], abs=1e-12)
+    before = (here / "out" / "ranked.json").read_bytes()
+    with pytest.raises(Interrupted):  # fewer plans are known than before
+        place_toy(here, "out", progress=stop_at("search"))
+    assert (here / "out" / "ranked.json").read_bytes() == before
+    place_toy(here, "out")
+    assert results(here / "out") == results(found.folder)
+
+
+def test_better_mountings_are_reported_as_they_are_found(found, heard):
+    news = [line for now in heard for line in now.news]
+    searched = [line for line in news if "is complete: clearance " in line]
+    values = [float(re.search(r"clearance ([\d.]+) mm; ", line)[1]) for line in searched]
+    assert values and values == sorted(values) and len(searched) < len(news)
+    numbers = [int(re.match(r"mounting (\d+) ", line)[1]) for line in searched]
+    assert numbers == sorted(numbers) and numbers[-1] <= sum(len(each.values) for each in found.scores)
+    assert f"{1e3 * found.mountings[0].objective[0]:.3g} mm" in news[-1] or len(found.mountings) > 1
+    assert news[-1].startswith("confirmed as a proven motion: clearance ") and "rotation y" in news[-1]
+
+
+def test_the_time_between_two_calls_of_the_planner_counts_and_is_kept(tmp_path):
+    now = time.monotonic()
+    clock = Clock(tmp_path, 100.0, now - 20.0)
+    clock.add("rounds/000", PlanTime(8, 10.0, True), now)
+    assert clock.used == pytest.approx(0.3, abs=1e-3)
+    clock.add("confirmed/000", PlanTime(1, 5.0, False), now + 7.0)
+    assert clock.used == pytest.approx(0.42, abs=2e-2)
+    again = Clock(tmp_path, 100.0, now + 50.0)
+    for name in ("rounds/000", "confirmed/000"):
+        again.add(name, PlanTime(8, 0.1, True), now + 51.0)
+    assert again.used == clock.used
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_as_many_tolerances_are_determined_as_the_file_says(here, count):
+    stages: list[PlaceProgress] = []
+    made = place_toy(here, "out", changes={"best": 2, "tolerances": count}, progress=stages.append)
+    assert sum(one.tolerance is not None for one in made.mountings) == count
+    assert ("tolerance" in {now.stage for now in stages}) == bool(count) == bool(stages[0].most["tolerance"])
+
+
 def stop_at(stage: str) -> Callable[[PlaceProgress], None]:
     """Function for the progress of a search that presses Ctrl-C at the beginning of a stage."""
 
@@ -213,7 +266,9 @@ def test_finished_plans_are_counted_and_not_planned_again(found, here):
     shards = {file: (file.stat().st_ino, file.read_bytes()) for file in (here / "out").rglob("[0-9]*/*/*.parquet")}
     shards |= {file: (file.stat().st_ino, file.read_bytes()) for file in (here / "out").rglob("confirmed/*/*.parquet")}
     rows = sum(pq.read_metadata(file).num_rows for file in shards if file.parent.name == "scenarios")
-    assert f"stopped; {rows} finished plans are in " in str(stopped.value)
+    assert f"; {rows} finished plans are in " in str(stopped.value)
+    count = len(json.loads((here / "out" / "ranked.json").read_text())["ranked"])
+    assert str(stopped.value).startswith(f"stopped; the ranking so far of {count} mountings is in ")
     heard: list[PlaceProgress] = []
     place_toy(here, "out", progress=heard.append)
     assert {now.kept for now in heard} == {rows}
@@ -363,7 +418,8 @@ def test_ctrl_c_ends_it_with_130_and_one_line_how_to_go_on(found, here):
         output, errors = process.communicate()
     assert process.returncode == 130 and output.startswith("up to ") and output.count("\n") == 1  # as at the start
     last = errors.strip().splitlines()[-1]
-    assert re.fullmatch(r"htcp: stopped; \d+ finished plans are in out; run the same command to resume", last)
+    so_far = r"(the ranking so far of \d+ mountings? is in out/ranked.json; )?"
+    assert re.fullmatch(rf"htcp: stopped; {so_far}\d+ finished plans are in out; run the same command to resume", last)
     place_toy(here, "out")
     assert results(here / "out") == results(found.folder)
 

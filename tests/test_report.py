@@ -529,6 +529,15 @@ def test_costs_are_compared_where_every_method_s_motion_leads_to_the_end(folder)
     assert "the 3 scenarios in which every method's motion does" in meaning(made)
 
 
+def test_compilation_has_a_row_of_its_own_as_methods_share_programs(folder):
+    part = part_of(folder, "one")
+    *methods, last = tables_of(part)["times"].records()
+    assert [row["method"] for row in methods] == list(part.plans)
+    assert [row["run_s"] for row in methods] == [plans.run_s for plans in part.plans.values()]
+    assert all(row["compile_s"] is None for row in methods) and last["run_s"] is None
+    assert last == {"method": "all methods", "run_s": None, "compile_s": sum(p.compile_s for p in part.plans.values())}
+
+
 def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_next_to_it(folder):
     part = part_of(folder, "four")
     [name, *_], reachability = part.axes, np.arange(len(part.numbers))

@@ -16,7 +16,7 @@ from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import stack, without_pose
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Problem
-from htcp_jax.motion.start_cause import nearest_bodies, start_causes
+from htcp_jax.motion.start_cause import closest_bodies, start_causes
 from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.tables import CAUSE, STEPS, scenario_table, with_new_columns
 from htcp_jax.status import Status
@@ -76,7 +76,11 @@ def test_the_pair_with_the_minimum_clearance_is_named():
     part = Workpiece("part", np.array([[0.0, 0.15, 0.9]]).repeat(4, 0), np.array([POINT, POINT + 1e-3]), **choices)
     scenario = make_scenario(toy.robot(), part, (0.0,) * 4, rotation=(0.0, 0.0), approach=(0, 0))
     problem = Problem(toy.robot(), part, stack([scenario]), toy.SETTINGS, Task(tolerance_m=1e-3))
-    assert nearest_bodies(problem, np.zeros(4)) == ("capsule forearm", "the workpiece")
+    found = closest_bodies(problem, np.zeros(4))
+    assert (found.body, found.other) == ("capsule forearm", "the workpiece")
+    np.testing.assert_allclose(found.point, [0.0, 0.15, 0.9], atol=1e-12)
+    text = f"capsule forearm comes within {-1e3 * found.depth_m:.3g} mm of the workpiece at (0.00, 0.15, 0.90) m"
+    assert found.description == text
 
 
 def test_the_attempt_with_the_least_overlap_is_kept():

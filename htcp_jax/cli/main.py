@@ -20,6 +20,7 @@ import typer
 from typer.core import TyperGroup
 
 from htcp_jax.caching import cache_folder
+from htcp_jax.cli.heartbeat import HEARTBEAT
 from htcp_jax.errors import InputError, Interrupted, Lost, Note
 from htcp_jax.system import INTERRUPTED as STOPPED
 
@@ -177,7 +178,8 @@ def _run(words: list[str]) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("default", UserWarning)
         warnings.showwarning = partial(_warn, shown=set())
-        code = app(args=words, prog_name="htcp", standalone_mode=False)
+        with HEARTBEAT.command(words[0]):
+            code = app(args=words, prog_name="htcp", standalone_mode=False)
     if code == INTERRUPTED:  # typer's code for Ctrl-C
         _print_line(STOPPED)
     return int(code or 0)

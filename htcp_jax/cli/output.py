@@ -4,9 +4,7 @@ Progress and warnings go to stderr. If stderr is not a terminal, progress is pri
 NO_COLOR disables colours.
 """
 
-import contextlib
 import shutil
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -29,11 +27,12 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from htcp_jax.cli import heartbeat
+from htcp_jax.cli.heartbeat import HEARTBEAT
 from htcp_jax.device import COMPILATIONS
 from htcp_jax.report import Table
 
 WIDEST = 100_000  # console width [characters], wider than any table: tables are split before they are printed
-LINE_S = 10.0  # time between two progress lines [s]
 GAP, LEAST_TEXT = 2, 30  # space between columns, and minimum width of a text column at a table's right end [characters]
 TIED = "of", "at", "scenario:"  # headings of columns that must not be separated from the column to their left
 
@@ -103,21 +102,31 @@ class ElapsedColumn(TimeElapsedColumn):
         return Text(str(timedelta(seconds=int(task.elapsed or 0))), style="progress.elapsed")
 
 
+class TimeLeftColumn(TimeRemainingColumn):
+    """Time left; for a finished bar the time that it took."""
+
+    def render(self, task: Task) -> Text:
+        """Return the time as text."""
+        return super().render(task).append(" in all" if task.finished else " left")
+
+
 @contextmanager
 def progress_bars(*columns: ProgressColumn, line_s: float | None = None, **how: Any) -> Iterator[Progress]:
     """Show progress bars until the block ends. If stderr is not a terminal, print one of them as a line at intervals.
 
     Args:
         *columns: Columns of a bar; by default description, counts and elapsed time.
-        line_s: Time between lines [s]; by default LINE_S.
+        line_s: Time between lines [s]; by default `heartbeat.LINE_S`.
         **how: Arguments passed on to `rich.progress.Progress`.
     """
     columns = columns or (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), ElapsedColumn())
     columns = *columns[:-1], CompilingColumn(), columns[-1]
     console, ended = Console(stderr=True), threading.Event()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how) as bars:
+    drawn = Progress(*columns, console=console, transient=True, disable=not console.is_terminal, **how)
+    with HEARTBEAT.bar(lambda: bool(drawn.tasks)), drawn as bars:
         if not console.is_terminal:
-            threading.Thread(target=_print_lines, args=(bars, ended, line_s or LINE_S), daemon=True).start()
+            every_s = line_s or heartbeat.LINE_S
+            threading.Thread(target=_print_lines, args=(bars, ended, every_s), daemon=True).start()
         try:
             yield bars
         finally:
@@ -133,11 +142,12 @@ class CompilingColumn(ProgressColumn):
 
 
 def _print_lines(bars: Progress, ended: threading.Event, line_s: float) -> None:
-    while not ended.wait(line_s):
+    while not ended.wait(HEARTBEAT.wait_s(line_s)):
         for task in [each for each in bars.tasks if not each.finished][:1] or bars.tasks[-1:]:
             cells = [f"{column(task)}".strip() for column in bars.columns if not isinstance(column, BarColumn)]
-            with contextlib.suppress(OSError, ValueError):  # stderr is closed
-                print(f"htcp: {' '.join(filter(None, cells))}", file=sys.stderr, flush=True)
+            HEARTBEAT.print(" ".join(filter(None, cells)))
+        if not bars.tasks:
+            ended.wait(line_s)
 
 
 @contextmanager
@@ -151,11 +161,11 @@ def progress_bar(
     Args:
         what: Name of the steps, in the plural.
         first: Text that is displayed until the function is first called.
-        time_left: True shows the remaining time, False the elapsed time.
+        time_left: True also shows the remaining time.
         line_s: See `progress_bars`.
     """
-    time = TimeRemainingColumn() if time_left else ElapsedColumn()
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
+    times = (ElapsedColumn(), TimeLeftColumn(elapsed_when_finished=True)) if time_left else (ElapsedColumn(),)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times
     with progress_bars(*columns, line_s=line_s) as bars:
         task = bars.add_task(first or what, total=None)
         yield lambda done, count, text="": bars.update(task, description=f"{what}{text}", completed=done, total=count)

@@ -1,6 +1,7 @@
 """`htcp place`: search for mountings of the workpiece or the arm, and rank those that complete the path."""
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.text import Text
 
 from htcp_jax import report
+from htcp_jax.cli.heartbeat import HEARTBEAT
 from htcp_jax.cli.output import (
     Device,
     ElapsedColumn,
@@ -20,6 +22,7 @@ from htcp_jax.cli.output import (
     print_json,
     print_table,
     progress_bars,
+    progress_text,
     stdout,
 )
 from htcp_jax.errors import InputError
@@ -50,7 +53,11 @@ WithinN = Annotated[
 ]
 WithinS = Annotated[
     float | None,
-    typer.Option("--seconds", metavar="S", help="Duration of the search [s]; overrides the key within of PLACE.yaml."),
+    typer.Option(
+        "--seconds",
+        metavar="S",
+        help="Time limit of the command, without compilation [s]; overrides within.",
+    ),
 ]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 
@@ -101,12 +108,14 @@ def place(
             on=on,
             device=device,
             progress=progress,
+            began_s=HEARTBEAT.began_s,
         )
-    report.draw_search(found.folder)
+    with progress_text("drawing pictures"):
+        report.draw_search(found.folder)
     if as_json:
         print_json(found.record())
     else:
-        _print_mountings(found)
+        _print_mountings(found, time.monotonic() - HEARTBEAT.began_s)
     return 0 if found.mountings else NONE_FOUND
 
 
@@ -123,6 +132,8 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
         def show(now: PlaceProgress) -> None:
             if not (announced or tasks):
                 print(_stage_maxima(now.most) + (f"; {now.kept:,} are kept" if now.kept else ""), flush=True)
+            for line in now.news:
+                bars.console.print(Text(f"htcp: {line}"), soft_wrap=True)
             if now.stage not in tasks:
                 for task in bars.tasks:
                     bars.update(task.id, total=task.completed)  # shows the earlier stage as finished
@@ -138,12 +149,13 @@ def _bar(announced: bool) -> Iterator[Callable[[PlaceProgress], None]]:
 def _stage_maxima(most: dict[str, int | None]) -> str:
     """Return a line with the maximum number of plans, in total and by stage."""
     searched, *others = most.values()
-    first = "as many plans as the time limit allows, after the search up to " if searched is None else "up to "
+    if searched is None:
+        return "as many plans as the time limit allows in all; time for compilation is added to it"
     parts = ", ".join(f"{count:,} to {WORDS[stage]}" for stage, count in most.items() if count)
-    return f"{first}{(searched or 0) + sum(others):,} plans: {parts}"
+    return f"up to {searched + sum(others):,} plans: {parts}"
 
 
-def _print_mountings(found: PlacementResult) -> None:
+def _print_mountings(found: PlacementResult, seconds: float) -> None:
     search, console = found.search, stdout()
     perturbation = search.file.perturbation
     facts = {
@@ -151,6 +163,7 @@ def _print_mountings(found: PlacementResult) -> None:
         "complete": f"{found.complete:,} of them",
         **_seams(found),
         "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
+        "time": f"{seconds:.0f} s, {found.compile_s:.0f} s of them for compilation",
     }
     print_facts(search.name, facts)
     console.print()

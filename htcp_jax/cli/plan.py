@@ -85,7 +85,8 @@ def plan(
       htcp plan cone --method hybrid            an example by another method
       htcp plan --set settings.alpha_rad=0.05 --set "start_rad=[0, -2.3, 0.5, 0, 0.5, 0]"
     """
-    job = job_of(config, seeded(overrides or (), seed), method)
+    changes = [*seeded(overrides or (), seed), *([] if method is None else [f"method={method}"])]
+    job = job_of(config, changes, None)
     claim_device(device)
     load_matplotlib()
     with _programs_preloaded(job, device):
@@ -95,7 +96,7 @@ def plan(
 
         plan_folder.refuse_run(out)
         with output_files.written_whole(out) as folder:
-            made = plan_with_progress(job, source_of(config), device)
+            made = plan_with_progress(job, config, changes, device)
             with progress_text("writing results"):
                 made.write(folder, retract=retract)
                 facts = made.facts(verbose=verbose)
@@ -165,12 +166,15 @@ def job_of(config: Path | None, overrides: Sequence[str], method: str | None) ->
     return job
 
 
-def plan_with_progress(job: PlanConfig, source: str, device: str | None = None) -> "Plan":
+def plan_with_progress(
+    job: PlanConfig, config: Path | None, changes: Sequence[str] = (), device: str | None = None
+) -> "Plan":
     """Plan a job, and show the number of tracked targets in a progress bar.
 
     Args:
         job: The job.
-        source: Name of the job, for messages.
+        config: The job's file or example, for messages; None: the default job.
+        changes: The changes to it, for messages.
         device: Name of the device; None: a GPU if there is one.
 
     Raises:
@@ -179,13 +183,15 @@ def plan_with_progress(job: PlanConfig, source: str, device: str | None = None) 
     """
     from htcp_jax import api
     from htcp_jax.caching import cache_folder
+    from htcp_jax.runs import failure_texts
 
     cache_folder.enable()
     with progress_bar("targets", first="loading and compiling; targets") as progress:
         search = _Search(progress, job.method == "beam")
         with stop_message(lambda: search.stop_text):
             try:
-                return api.plan_job(job, source=source, device=device, progress=search.update)
+                known = {"source": source_of(config), "arguments": failure_texts.arguments(config, changes)}
+                return api.plan_job(job, **known, device=device, progress=search.update)
             except KeyboardInterrupt:
                 raise Interrupted(search.stop_text, signal.SIGINT) from None
 
@@ -210,5 +216,6 @@ class _Search:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
         is_long = not now.phase and self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
         self._text = f"; searching for a motion to target {self._tracked}" if is_long and now.starts != 0 else ""
-        phase = "; finding the start" if now.starts == 0 else ""
+        drawn, most = now.draws
+        phase = f"; looking for a start: {drawn:,} of {most:,} configurations" if now.starts == 0 else ""
         self._progress(self._tracked, now.targets, phase + self._text + now.phase)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import BarColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn
 from rich.text import Text
 
 from htcp_jax.cli.feed import Feed
@@ -21,6 +21,7 @@ from htcp_jax.cli.output import (
     Overrides,
     Seed,
     SweepFile,
+    TimeLeftColumn,
     claim_device,
     print_json,
     print_table,
@@ -29,7 +30,7 @@ from htcp_jax.cli.output import (
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.jobs import load_sweep, seeded
-from htcp_jax.report import Table, result_row
+from htcp_jax.report import Table, compilation_row, result_row
 from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import NOT_TRIED
@@ -128,14 +129,6 @@ def _finished(run: Run) -> list[str]:
     return [method for method in run.methods if method not in left]
 
 
-class _TimeLeftColumn(TimeRemainingColumn):
-    """Time left; for a finished method the time that it took."""
-
-    def render(self, task: Task) -> Text:
-        """Return the time as text."""
-        return super().render(task).append(" in all" if task.finished else " left")
-
-
 def _stage(starts: int | None) -> str:
     """Return what is done before the first target is tracked, as text for a progress bar."""
     return "loading and compiling; " if starts is None else f"{starts:,} starts ready; "
@@ -149,7 +142,7 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
         BarColumn(),
         TextColumn("{task.fields[stage]}{task.fields[scenarios]} scenarios, {task.fields[tracked]:,} targets tracked"),
         ElapsedColumn(),
-        _TimeLeftColumn(elapsed_when_finished=True),
+        TimeLeftColumn(elapsed_when_finished=True),
     )
     with progress_bars(*columns, speed_estimate_period=600) as bars:
         tasks, first = {}, {}
@@ -188,9 +181,10 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     )
     console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
-    rows = [result_row(method, summary.summarise(whole)) for method, whole in plans.items()]
-    for keys in (COUNTS, FIGURES):
-        print_table(console, Table.of("sweep", keys, rows).without_empty())
+    rows = [result_row(method, summary.summarise(whole)) | {"compile_s": None} for method, whole in plans.items()]
+    compiled = [compilation_row(plans.values())] if plans else []
+    for keys, own in ((COUNTS, rows), (FIGURES, rows + compiled)):
+        print_table(console, Table.of("sweep", keys, own).without_empty())
         console.print()
     print_timing(run, list(plans))
     kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"

@@ -10,12 +10,13 @@ import typer
 from rich.text import Text
 
 from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
+from htcp_jax.cli.heartbeat import HEARTBEAT
 from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.motion_options import Format, Interpolation, Unit
-from htcp_jax.cli.output import Overrides, Seed, progress_bar, stdout
+from htcp_jax.cli.output import Overrides, Seed, progress_bar, progress_text, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
-from htcp_jax.jobs import seeded, source_of
+from htcp_jax.jobs import seeded
 from htcp_jax.runs import open_plans
 from htcp_jax.spec import examples
 from htcp_jax.system import stop_message
@@ -97,7 +98,9 @@ def view(
         replays, programs = _replays_and_programs(what, method, seeded(overrides or (), seed), feed_m_s, not one_way)
     from htcp_jax.viewer import Viewer  # here, as viser is an optional dependency
 
-    viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
+    with progress_text("drawing the scene" if feed_m_s is None else "timing the motion and drawing the scene"):
+        viewer = Viewer(replays, host, port, scenario, method, programs if feed_m_s else None)
+    HEARTBEAT.end()  # from now on the viewer waits
     try:
         with stop_message(lambda: CLOSED):
             stdout().print(Text.assemble(("viewer  ", "cyan"), viewer.address, ("  (Ctrl-C ends it)", "dim")))
@@ -140,8 +143,10 @@ def _replays_and_programs(
     if what is not None and what.is_dir():
         if overrides and feed_m_s is None:
             raise InputError(f"--set and --seed change a job, and {what} is a run folder; omit them")
-        found, how = open_plans(what), {"retract": retract, "overrides": overrides}
-        return recorded_replays(found), lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
-    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), source_of(what))
+        with progress_text(f"reading the plans in {what}"):
+            found, how = open_plans(what), {"retract": retract, "overrides": overrides}
+            replays = recorded_replays(found)
+        return replays, lambda scenario, by: program_of(found, feed_m_s, by, scenario, **how)
+    name, plan = str(what or "the default job"), plan_with_progress(job_of(what, overrides, method), what, overrides)
     of_job = name, plan.plans, 0, plan.job, feed_m_s
     return replays_of(name, plan), lambda _, by: program_of_plans(*of_job, by, retract=retract)

@@ -14,7 +14,7 @@ from . import (
     transfers,
 )
 from .collision_checker import CollisionChecker, prove_call
-from .home import begin_at_home, leave_home
+from .home import begin_at_home, leave_home, most_draws
 from .motion import Motion
 from .plans import Plans, Retract
 from .problem import Execution, Problem
@@ -38,6 +38,7 @@ __all__ = [
     "lane_inputs",
     "leave_home",
     "manipulability",
+    "most_draws",
     "motion",
     "motion_check",
     "plans",

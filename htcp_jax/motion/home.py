@@ -17,13 +17,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.device import tables
+from htcp_jax.model import Scenario
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.joint_search import join
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
 from htcp_jax.motion.sparse_columns import ViaPoints
-from htcp_jax.motion.transfers import other_configurations
+from htcp_jax.motion.transfers import DRAWS, other_configurations
 from htcp_jax.status import Status
 
 ROUNDS, FIRST_ROUND = 4, 100  # number of rounds of sampled starts; number of the first one, unused by transfers
@@ -69,6 +70,12 @@ def leave_home(problem: Problem) -> tuple[Problem, ViaPointsFromHome]:
             from_home[s] = start.via_points
     problem.progress(0, int((refused != scenarios.refused).sum()))
     return problem.with_scenarios(replace(scenarios, x_start=x_start, refused=refused)), from_home
+
+
+def most_draws(scenarios: Scenario) -> int:
+    """Return the maximum number of configurations that are drawn to find the starts of stacked scenarios."""
+    is_chosen = scenarios.auto_start & (scenarios.refused == scenario_functions.NOT_REFUSED)
+    return ROUNDS * DRAWS * int(is_chosen.sum())
 
 
 class HomeConnector:
@@ -123,6 +130,7 @@ class HomeConnector:
             return Trials(rows, rows, self._scenarios.x_start[rows])
         self._problem.progress(0, 0, 0)
         at, lane = other_configurations(self._problem, self._checker, rows, FIRST_ROUND + round_)
+        self._problem.progress(0, 0, 0, len(rows) * DRAWS)
         order, place = np.lexsort((-at.clearance, lane)), np.arange(len(lane)) - np.searchsorted(lane, lane)
         pair = PAIR + round_ * MOST_TRIED + place
         return tables.gather(Trials(rows[lane], pair, at.x[order]), place < MOST_TRIED)

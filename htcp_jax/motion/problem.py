@@ -65,7 +65,7 @@ FoundInThread = TypeVar("FoundInThread")
 Rows = int | np.integer | Int[np.ndarray, "n"]
 
 
-def ignore(tracked: int, finished: int, begun: int | None = None) -> None:
+def ignore(tracked: int, finished: int, begun: int | None = None, drawn: int = 0) -> None:
     """Progress callback that does nothing."""
 
 
@@ -75,8 +75,8 @@ class Problem:
 
     `Problem.of` makes a problem. It is final: before a method gets it, starts are chosen and scenarios are refused. Its
     arrays are read-only. `progress` has two arguments: the numbers of newly tracked targets and of newly finished
-    scenarios; a third one, optional, is the number of scenarios whose start was newly chosen. It may be called at any
-    time, on any thread; an exception in it ends planning.
+    scenarios. Optional ones are the number of scenarios whose start was newly chosen, and that of configurations that
+    were drawn to find one. It may be called at any time, on any thread; an exception in it ends planning.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`

@@ -39,7 +39,15 @@ class Attempt(NamedTuple):
     body: str  # name of the capsule with the deepest overlap at x
     other: str  # name of the obstacle that it overlaps
     point: Float[np.ndarray, "3"]  # nearest point of this obstacle, world [m]
-    depth_m: float  # depth of the overlap
+    depth_m: float  # depth of the overlap; negative: the clearance
+
+    @property
+    def description(self) -> str:
+        """Text that names the bodies, the depth or clearance, and the place."""
+        where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m"
+        if self.depth_m > 0:
+            return f"{self.body} is {_mm(self.depth_m)} inside {self.other} {where}"
+        return f"{self.body} comes within {_mm(-self.depth_m)} of {self.other} {where}"
 
 
 class StartCause(NamedTuple):
@@ -131,16 +139,18 @@ def refuse_standing_overlaps(problem: Problem) -> None:
             raise InputError(f"{place}no start exists: {found.description}")
 
 
-def nearest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> tuple[str, str]:
-    """Return the label of the capsule with the minimum clearance at x, and the name of the obstacle nearest to it.
+def closest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> Attempt:
+    """Return the bodies with the smallest clearance at x, as labels.
 
     Args:
         problem: The problem; its first scenario is measured.
         x: The configuration [rad or m].
     """
     found = _Measured.at(problem, 0, x[None])
-    name, other = found.pair(int(found.distance[0].argmin()), 0)
-    return robots.capsule_label(problem.robot, name), other
+    row = int(found.distance[0].argmin())
+    name, other = found.pair(row, 0)
+    label = robots.capsule_label(problem.robot, name)
+    return Attempt(x, label, other, found.points[0, row], -float(found.distance[0, row]))
 
 
 def clearances_at(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n"]:

@@ -1,9 +1,11 @@
 """Time that a search with a time limit has used, without compilation and across interruptions.
 
+The limit is for the whole command: the time between two calls of the planner counts, too, as that before the first.
 The size of each call of the planner depends on the time that earlier calls took. Every call's time is therefore saved
 in the search's folder, and a resumed search reads it with the finished plans.
 """
 
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +24,7 @@ class PlanTime(NamedTuple):
     plans: int
     seconds: float  # without compilation [s]
     quick: bool  # True for quick plans, False for proven motions
+    before: float = 0.0  # time between the call before it, or the beginning of the command, and this one [s]
 
 
 class Clock:
@@ -30,32 +33,35 @@ class Clock:
     Args:
         folder: The search's folder, in which the times are saved.
         seconds: Time limit of the search [s]; None: no limit, and no time is saved.
+        began_s: Value of `time.monotonic` when the command began [s].
     """
 
-    def __init__(self, folder: Path, seconds: float | None):
-        self._file, self.seconds = folder / FILE, seconds
+    def __init__(self, folder: Path, seconds: float | None, began_s: float):
+        self._file, self.seconds, self._last_s = folder / FILE, seconds, began_s
         self._known = {} if seconds is None else _read_times(self._file)
         self._calls: list[PlanTime] = []
 
     @property
     def used(self) -> float:
         """Used share of the time limit; 0 without a limit."""
-        return 0.0 if self.seconds is None else sum(call.seconds for call in self._calls) / self.seconds
+        return 0.0 if self.seconds is None else sum(own.before + own.seconds for own in self._calls) / self.seconds
 
-    def add(self, name: str, call: PlanTime) -> None:
-        """Add the time of a call, or the one that is saved under its name.
+    def add(self, name: str, call: PlanTime, began_s: float) -> None:
+        """Add the time of a call that has just ended, or the one that is saved under its name.
 
         Args:
             name: The name of the call's folder in the search's folder.
             call: The call.
+            began_s: Value of `time.monotonic` when it began [s].
 
         Raises:
             InputError: If the file cannot be written.
         """
         if self.seconds is None:
             return
+        before, self._last_s = max(0.0, began_s - self._last_s), time.monotonic()
         if name not in self._known:
-            self._known[name] = call
+            self._known[name] = call._replace(before=before)
             output_files.write_json(self._file, {"calls": {each: own._asdict() for each, own in self._known.items()}})
         self._calls.append(self._known[name])
 
@@ -89,6 +95,9 @@ def _read_times(file: Path) -> dict[str, PlanTime]:
         return {}
     try:
         calls = files.read_json(file, file.parent)["calls"].items()
-        return {name: PlanTime(int(own["plans"]), float(own["seconds"]), bool(own["quick"])) for name, own in calls}
+        return {
+            name: PlanTime(int(own["plans"]), float(own["seconds"]), bool(own["quick"]), float(own.get("before", 0.0)))
+            for name, own in calls
+        }
     except (OSError, AttributeError, ValueError, TypeError, LookupError) as error:
         raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None

@@ -23,27 +23,22 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import Sweep
 from htcp_jax.motion import Plans, start_contact
 from htcp_jax.placement.clock import Clock, PlanTime
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
-from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, write_result
+from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, ranked_plans, write_result
 from htcp_jax.placement.progress import (
     LOWERED,
     MARGINS,
     STAGES,
-    TOLERANCES,
     PlaceProgress,
     ProgressReporter,
     most_plans,
 )
-from htcp_jax.placement.scores import (
-    MountingPlanner,
-    MountingScores,
-    sweep_of,
-)
+from htcp_jax.placement.scores import QUICK, MountingPlanner, MountingScores, sweep_of
 from htcp_jax.placement.search import EVEN, FROM, POPULATION, ROUND, Evolution, SearchResults, best_apart, even, score
 from htcp_jax.placement.tolerance import TRIED, most_tried, perturbed, tolerances
 from htcp_jax.runs import Run
@@ -53,7 +48,9 @@ from htcp_jax.spec import feed
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 
-SEARCHED, CONFIRMED = 0.5, 0.8  # shares of a time limit after which the search ends, and then the confirmation
+# Shares of a time limit after which the search ends, then the confirmation, then the perturbations and tolerances; the
+# rest is for files and pictures.
+SEARCHED, CONFIRMED, PERTURBED = 0.5, 0.8, 0.9
 
 
 def place(
@@ -67,6 +64,7 @@ def place(
     device: str | None = None,
     threads: int | None = None,
     progress: Callable[[PlaceProgress], None] | None = None,
+    began_s: float | None = None,
 ) -> PlacementResult:
     """Search the ranges of a file, or of an equivalent mapping, and rank the mountings that complete the path.
 
@@ -80,6 +78,7 @@ def place(
         device: The device of this process, see `runs.sweep.sweep`; results do not depend on it.
         threads: The number of engines in this process, see `runs.sweep.sweep`; results do not depend on it.
         progress: Function that is called with the progress of the search.
+        began_s: Value of `time.monotonic` from which a time limit counts [s]; None: that of this call.
 
     Returns:
         The ranked mountings, and the run folder with their motions.
@@ -90,11 +89,13 @@ def place(
         Interrupted: On SIGINT and SIGTERM; finished plans are kept in the folder.
         Lost: As `runs.sweep.sweep`; finished plans are kept in the folder.
     """
+    began_s = time.monotonic() if began_s is None else began_s
     search, folder = load_search(spec, config, overrides, changes), Path(out)
     targets = _targets(search) * (most_plans(search)["search"] or ROUND)
     with locked_search(folder, search):
-        clock = Clock(folder, search.file.within.seconds)
+        clock = Clock(folder, search.file.within.seconds, began_s)
         report = ProgressReporter(search, progress, kept_plans(folder))
+        compile_s = list[float]()
         sweep = partial(
             sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
         )
@@ -105,17 +106,26 @@ def place(
             run = sweep(grid, [method], into)
             report.planned(run)
             run = time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
-            seconds = time.monotonic() - began - run.manifest.seconds[method].compile_s
-            clock.add(name.as_posix(), PlanTime(run.manifest.count, max(0.0, seconds), stage != "confirm"))
+            compile_s.append(run.manifest.seconds[method].compile_s)
+            seconds = time.monotonic() - began - compile_s[-1]
+            clock.add(name.as_posix(), PlanTime(run.manifest.count, max(0.0, seconds), stage != "confirm"), began)
             return run
 
-        planner = MountingPlanner(search, plan)
-        scores = list(_rounds(planner, clock, folder / "rounds", report))
-        confirmed = _confirmed(planner, clock, scores, folder / "confirmed")
+        planner, scores, parts = MountingPlanner(search, plan), list[MountingScores](), list[MountingScores]()
+        try:
+            for each in _rounds(planner, clock, folder / "rounds", report):
+                scores.append(each)
+            for each in _confirmed(planner, clock, scores, folder / "confirmed"):
+                parts.append(each)
+                report.confirmed(each)
+        except (Interrupted, KeyboardInterrupt):
+            _write_ranking_so_far(search, scores, parts, folder)
+            raise
+        confirmed = MountingScores.concatenate(parts)
         for mountings, is_final in _rankings(planner, clock, confirmed, folder):
             motions = _save_motions(search, confirmed, mountings, folder)
             found = write_result(folder, search, scores, mountings, motions, is_final)
-        return found
+        return found._replace(compile_s=sum(compile_s))
 
 
 def _targets(search: Search) -> int:
@@ -194,15 +204,10 @@ def _refuse_collision(search: Search, found: MountingScores, folder: Path) -> No
     raise InputError(f"{search.name}: no motion can start in any of {len(found.values):,} mountings: {why}")
 
 
-def _confirmed(
-    planner: MountingPlanner, clock: Clock, scores: Sequence[MountingScores], folder: Path
-) -> MountingScores:
-    """Plan the best mountings by each objective, at least APART from each other, each with all of MARGINS.
-
-    With a time limit, each mounting is planned in a call of its own, with as many margins as there is time for. At
-    least one is planned.
-    """
-    search = planner.search
+def _best_mountings(
+    search: Search, scores: Sequence[MountingScores]
+) -> tuple[Float[np.ndarray, "n d"], SearchResults, list[int]]:
+    """Return all mountings, their results, and the indices of the best by each objective, APART from each other."""
     values = np.concatenate([each.values for each in scores])
     known = SearchResults(
         (values - search.ranges.low) / search.ranges.width,
@@ -215,7 +220,19 @@ def _confirmed(
     for weights in np.eye(objectives):
         order = np.argsort(score(known, weights), kind="stable")
         chosen += best_apart(known.u, order, -(-search.file.best // objectives))
-    chosen = list(dict.fromkeys(chosen))
+    return values, known, list(dict.fromkeys(chosen))
+
+
+def _confirmed(
+    planner: MountingPlanner, clock: Clock, scores: Sequence[MountingScores], folder: Path
+) -> Iterator[MountingScores]:
+    """Plan the best mountings by each objective, each with all of MARGINS, and yield the results of each call.
+
+    With a time limit, each mounting is planned in a call of its own, with as many margins as there is time for. At
+    least one is planned.
+    """
+    search = planner.search
+    values, known, chosen = _best_mountings(search, scores)
     clear = np.concatenate([each.clearance for each in scores])[chosen]
     least = search.job.margin_m
     is_raised = CLEARANCE in search.file.objective
@@ -225,16 +242,39 @@ def _confirmed(
     ]
     if clock.seconds is None:
         every = np.repeat(values[chosen], [len(own) for own in margins], axis=0)
-        return planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
-    parts: list[MountingScores] = []
+        yield planner.evaluate(every, search.file.confirm, folder, np.concatenate(margins))
+        return
     for k, (one, own) in enumerate(zip(values[chosen], margins, strict=True)):
         fit = [n for n in range(len(own)) if clock.fits((n + 1) * max(1, len(search.seams)), False, CONFIRMED)]
-        if parts and not fit:
+        if k and not fit:
             break
         own = own[-1 - max(fit, default=0) :]  # the smallest margins are the most likely to be kept
         every = np.repeat(one[None], len(own), axis=0)
-        parts.append(planner.evaluate(every, search.file.confirm, folder / f"{k:03d}", np.array(own)))
-    return MountingScores.concatenate(parts)
+        yield planner.evaluate(every, search.file.confirm, folder / f"{k:03d}", np.array(own))
+
+
+def _write_ranking_so_far(
+    search: Search, scores: Sequence[MountingScores], confirmed: Sequence[MountingScores], folder: Path
+) -> None:
+    """Write a preliminary ranking of a search that is stopped before its first ranking, if a mounting is complete.
+
+    The mountings are those with confirmed motions or, without any, the best ones of the quick plans. A ranking of more
+    plans, which an earlier call wrote, is kept.
+    """
+    known = [each for each in confirmed if each.complete.any()] or [each for each in scores if each.complete.any()]
+    if not known or ranked_plans(folder) > sum(len(each.plans.status) for each in scores):
+        return
+    found = MountingScores.concatenate(known).with_guaranteed_clearance()
+    chosen = _best_mountings(search, [found])[2]
+    rows = _best_rows(found) if known[0] in confirmed else [k for k in chosen if found.complete[k]]
+    front, unknown = is_on_pareto_front(found.objective[rows]), np.full(found.objective.shape[1], np.nan)
+    mountings = [
+        Mounting(k, found.values[k], float(found.margin_m[k]), found.objective[k], unknown, np.nan, bool(on), None)
+        for k, on in zip(rows, front, strict=True)
+    ]
+    mountings.sort(key=lambda one: -one.objective[0])
+    motions = _save_motions(search, found, mountings, folder)
+    write_result(folder, search, scores, mountings, motions, is_final=False)
 
 
 def _rankings(
@@ -243,7 +283,7 @@ def _rankings(
     """Yield rankings of the confirmed mountings, each with True if it is final.
 
     The first ranking is by the objective of each mounting's best plan. The final one is by the results under
-    perturbation; its first TOLERANCES mountings have tolerances. What a time limit omits is unknown.
+    perturbation; its first mountings have tolerances. What a time limit omits is unknown.
     """
     rows = _best_rows(confirmed)
     if not rows:
@@ -275,7 +315,7 @@ def _rankings(
     order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
     known: dict[int, PlacementTolerance] = {}
     most = seams * most_tried(values.shape[1])
-    for own, into in _calls(clock, order[:TOLERANCES], folder / "tolerance", most):
+    for own, into in _calls(clock, order[: planner.search.file.tolerances], folder / "tolerance", most):
         found = tolerances(planner.search, values[own], into, partial(_planned_again, planner, None))
         known |= dict(zip(own.tolist(), found, strict=True))
     yield mountings(order, worst, success_rate, known), True
@@ -290,11 +330,13 @@ def _calls(clock: Clock, rows: np.ndarray, folder: Path, plans: int) -> Iterator
         folder: The folder of the stage.
         plans: Maximum number of plans for one mounting.
     """
+    if not len(rows):
+        return
     if clock.seconds is None:
         yield np.sort(rows) if folder.name == "perturbed" else rows, folder
         return
     for k, row in enumerate(rows):
-        if not clock.fits(plans, quick=True):
+        if not clock.fits(plans, True, PERTURBED):
             return
         yield np.array([row]), folder / f"{k:03d}"
 
@@ -346,5 +388,5 @@ def _save_motions(
     margins = confirmed.margin_m[rows]
     scenarios = (rows[:, None] * confirmed.seams + np.arange(confirmed.seams)).ravel()
     plans: Plans = confirmed.plans.rows(scenarios)
-    spec = sweep_of(search, confirmed.values[rows], margins)
+    spec = sweep_of(search, confirmed.values[rows], margins, QUICK if confirmed.quick else ())
     return sweeps.keep_plans(spec, {confirmed.method: plans}, folder / plan_sets.MOTIONS).folder

@@ -54,6 +54,7 @@ class PlaceFile(strict_model.FileSection):
     within: Budget = Budget(scenarios=2000)
     perturbation: Perturbation = Perturbation()
     best: int = Field(20, ge=1, le=1000)  # maximum number of mountings that are confirmed as proven motions
+    tolerances: int = Field(3, ge=0, le=1000)  # maximum number of mountings whose tolerance is determined
     screen: str = "beam"  # planning method of the quick plans, with the settings `scores.QUICK`
     confirm: str = "beam"  # planning method of the confirmed motions
     seed: int = Field(0, ge=0)

@@ -45,6 +45,7 @@ class PlacementResult(NamedTuple):
     scores: Sequence["MountingScores"]
     mountings: Sequence[Mounting]  # best first
     motions: Path | None  # folder of the run with the mountings' motions; None if no mounting is ranked
+    compile_s: float = 0.0  # time that the planner's calls spent on compilation
     is_final: bool = True  # False until perturbed mountings are planned and tolerances determined
 
     @property
@@ -130,7 +131,11 @@ def locked_search(folder: Path, search: Search) -> Iterator[None]:
 def _stop_search(folder: Path, is_new: bool) -> str:
     """Return the message on how to resume; remove a new search without finished plans."""
     if _has_plans(folder, is_new):
-        return f"stopped; {kept_plans(folder):,} finished plans are in {folder}; run the same command to resume"
+        count = ranked_mountings(folder)
+        counted = f"{count:,} mounting{'s' * (count != 1)}"
+        ranking = f"the ranking so far of {counted} is in {folder / RANKED}; " if count else ""
+        kept = f"{kept_plans(folder):,} finished plans are in {folder}"
+        return f"stopped; {ranking}{kept}; run the same command to resume"
     return f"stopped; {NOTHING}"
 
 
@@ -142,6 +147,23 @@ def _has_plans(folder: Path, is_new: bool) -> bool:
     if is_new:
         shutil.rmtree(folder, ignore_errors=True)
     return False
+
+
+def ranked_plans(folder: Path) -> int:
+    """Return the number of plans of the search when the ranking in its folder was written; 0 without a ranking."""
+    return int(_ranking(folder).get("scenarios", 0))
+
+
+def ranked_mountings(folder: Path) -> int:
+    """Return the number of mountings in the ranking in a search's folder; 0 without a ranking."""
+    return len(_ranking(folder).get("ranked", ()))
+
+
+def _ranking(folder: Path) -> dict[str, Any]:
+    try:
+        return dict(files.read_json(folder / RANKED, folder))
+    except (OSError, ValueError, TypeError):  # there is none, or it is damaged and will be replaced
+        return {}
 
 
 def kept_plans(folder: Path) -> int:
@@ -171,7 +193,8 @@ def _begin_search(folder: Path, search: Search) -> None:
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{file} is damaged: {files.cause(error, file)}") from None
     requested = json.loads(json.dumps(requested))
-    differing = [key for key in {**there, **requested} if there.get(key) != requested.get(key) and key != "config"]
+    there = requested | there  # a search of an earlier version may lack a key
+    differing = [key for key in there if there[key] != requested.get(key) and key != "config"]
     if differing:
         key = differing[0]
         words = f"{key} is {there.get(key)} in the folder, {requested.get(key)} in this command"
@@ -196,7 +219,7 @@ def write_result(
         motions: The folder of the run with the mountings' motions; None if no mounting is ranked.
         is_final: True if the ranking is final.
     """
-    found = PlacementResult(folder, search, scores, mountings, motions, is_final)
+    found = PlacementResult(folder, search, scores, mountings, motions, is_final=is_final)
     if motions is not None:
         _write_jobs(found, [point.config for point in open_run(motions).points()])
     files.write_atomically(folder, MOUNTINGS, arrays.parquet_bytes(_mounting_table(search, scores)))

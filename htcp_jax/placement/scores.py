@@ -111,6 +111,15 @@ class MountingScores:
         """Guaranteed clearance along the motions, over all seams [m]."""
         return _minimum_along(self.plans).reshape(-1, self.seams).min(axis=1)
 
+    def with_guaranteed_clearance(self) -> "MountingScores":
+        """Return the scores with the guaranteed clearance as that objective also for quick plans."""
+        objective = self.objective.copy()
+        for k, name in enumerate(self.search.file.objective):
+            if name == CLEARANCE:
+                objective[:, k] = np.where(self.complete, self.guaranteed, -np.inf)
+        known = {"quick": self.quick, "margin_m": self.margin_m, "plans": self.plans, "objective": objective}
+        return MountingScores(self.search, self.run, self.method, self.values, **known)
+
     def lost(self) -> list[str]:
         """Return the reason why each mounting is not complete, taken from its worst seam; empty if it is complete."""
         ends, worst = self.plans.outcomes, self.done.argmin(axis=1)
@@ -242,8 +251,10 @@ def _with_better(
     new[which] = again.complete
     row = np.arange(len(which) * found.seams).reshape(-1, found.seams)
     row[new] = row.size + np.arange(which.sum() * found.seams).reshape(-1, found.seams)[again.complete]
-    plans = Plans.concatenate([found.plans, again.plans]).rows(row.ravel())
-    return MountingScores(found.search, found.run, found.method, found.values, quick=True, plans=plans), new
+    plans, margin = Plans.concatenate([found.plans, again.plans]).rows(row.ravel()), found.margin_m.copy()
+    margin[new] = again.margin_m[again.complete]
+    known = {"quick": True, "plans": plans, "margin_m": margin}
+    return MountingScores(found.search, found.run, found.method, found.values, **known), new
 
 
 def _clearance_objective(scores: MountingScores) -> np.ndarray:

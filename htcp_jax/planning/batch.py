@@ -19,7 +19,7 @@ from htcp_jax.device import tables
 from htcp_jax.errors import InputError
 from htcp_jax.model import Scenario
 from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.motion import Plans, Problem, begin_at_home, leave_home, motion_check, smoothing, start_cause
+from htcp_jax.motion import Plans, Problem, begin_at_home, leave_home, most_draws, motion_check, smoothing, start_cause
 from htcp_jax.planning import inserted_goals, methods, repeated_targets
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.tracking.record import with_separate_errors
@@ -36,6 +36,7 @@ class Progress(NamedTuple):
     targets_tracked: int
     targets: int
     starts: int | None = None  # number of starts chosen, and joined to home, so far; None before the first attempt
+    draws: tuple[int, int] = (0, 0)  # configurations drawn to find starts, so far and at most
     phase: str = ""  # text about the work after the first plans, such as "; order 2: 3 air moves"
 
 
@@ -180,25 +181,28 @@ def _plan_part(method: str, notify: Callable, given: tuple, how: dict[str, Any],
 def _counter(scenarios: Scenario, progress: Callable[[Progress], None] | None) -> Callable[..., None]:
     """Return a function that adds counts of newly tracked targets and finished scenarios, and reports the totals.
 
-    Its third argument, optional, counts newly chosen starts. It may be called on any thread.
+    Its third argument, optional, counts newly chosen starts, and its fourth one configurations drawn to find starts. It
+    may be called on any thread.
     """
     if progress is None:
-        return lambda tracked, finished, begun=None: None
+        return lambda tracked, finished, begun=None, drawn=0: None
     lock = threading.Lock()
     now = Progress(
         int((scenarios.refused != scenario_functions.NOT_REFUSED).sum()),
         len(scenarios.number),
         0,
         int(scenarios.count.sum()),
+        draws=(0, most_draws(scenarios)),
     )
 
-    def add(tracked: int, finished: int, begun: int | None = None) -> None:
+    def add(tracked: int, finished: int, begun: int | None = None, drawn: int = 0) -> None:
         nonlocal now
         with lock:
             now = now._replace(
                 scenarios_done=now.scenarios_done + finished,
                 targets_tracked=now.targets_tracked + tracked,
                 starts=now.starts if begun is None else (now.starts or 0) + begun,
+                draws=(now.draws[0] + drawn, now.draws[1]),
             )
             progress(now)
 

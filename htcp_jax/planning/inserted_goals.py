@@ -131,7 +131,7 @@ class LostPlace(NamedTuple):
 
     share: float  # share of the segment
     x_last: Float[np.ndarray, "N"]  # the last configuration that was reached [rad or m]
-    scenario: Scenario  # the scenario with this place in place of the target
+    scenario: Scenario  # the scenario with this place as the target, and the goal before it as the one before
 
 
 def lost_place(
@@ -161,9 +161,9 @@ def lost_place(
     counts[0, target] = pieces
     denser = inserted(task, stacked, PathParts.of(counts, stacked.count))
     targets, goals = scenario.targets.copy(), None if scenario.task_goals is None else scenario.task_goals.copy()
-    targets[target] = denser.targets[0, target + nth - 1]
+    targets[target - 1 : target + 1] = denser.targets[0, target + nth - 2 : target + nth]
     if goals is not None:
-        goals[target] = denser.goals[0, target + nth - 1]
+        goals[target - 1 : target + 1] = denser.goals[0, target + nth - 2 : target + nth]
     return LostPlace(nth / pieces, x_last, replace(scenario, targets=targets, task_goals=goals))
 
 

@@ -73,10 +73,10 @@ def planned(plan: Callable[[Problem], Plans], problem: Problem) -> Plans:
     if distinct.all():
         return plan(problem)
 
-    def progress(tracked: int, finished: int, begun: int | None = None) -> None:
+    def progress(tracked: int, *others: int | None) -> None:
         nonlocal shown
         shown += tracked
-        problem.progress(tracked, finished, begun)
+        problem.progress(tracked, *others)
 
     plans, fits = _with_own_errors(problem, _planned(plan, problem, distinct, progress), distinct)
     if len(rows := np.flatnonzero(~fits)):

@@ -76,7 +76,8 @@ def deepest_contacts(
             least, each = clearance.argmin(axis=0), np.arange(len(rows))
             low, high = s[np.maximum(least - 1, 0), each], s[np.minimum(least + 1, PLACES - 1), each]
         clearance_m, place, at = best
-        bodies = start_cause.nearest_bodies(problem, at)
-        found.append(Contact(int(segment), place, at, *bodies, clearance_m, problem.robot.pieces is not None))
+        bodies = start_cause.closest_bodies(problem, at)
+        names = bodies.body, bodies.other
+        found.append(Contact(int(segment), place, at, *names, clearance_m, problem.robot.pieces is not None))
         progress(len(found), len(segments))
     return found

@@ -4,11 +4,12 @@ from .document import Table
 from .place_pictures import draw_search
 from .proof_picture import draw_proof
 from .report import make_report, report_record, write_report
-from .tables import result_row
+from .tables import compilation_row, result_row
 
 __all__ = [
     "Table",
     "charts",
+    "compilation_row",
     "draw_proof",
     "draw_search",
     "gate",

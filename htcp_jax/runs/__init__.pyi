@@ -1,6 +1,7 @@
 from . import (
     checkpoint,
     columns,
+    failure_texts,
     finite,
     identity,
     input_files,
@@ -33,6 +34,7 @@ __all__ = [
     "SeamOrder",
     "checkpoint",
     "columns",
+    "failure_texts",
     "finite",
     "identity",
     "input_files",

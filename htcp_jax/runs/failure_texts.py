@@ -1,0 +1,113 @@
+"""Text about a plan that ends early: the reason, the clearance next to the one aimed at, and the next command."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from htcp_jax.motion import Tried, plans
+from htcp_jax.planning import RefusedSegment
+from htcp_jax.settings import Settings
+from htcp_jax.spec import PlanConfig
+from htcp_jax.status import SegmentStatus, Status
+
+MEASURED = Status.PATH_BLOCKED, Status.RECOVERY_EXHAUSTED  # statuses after which segments to the target are measured
+WIDER_TUBE = 5.0  # a larger tolerance is suggested up to so many times the present one
+MORE_EFFORT, MOST_EFFORT = 4.0, 8.0  # factor on `settings.effort` that is suggested, up to the second value
+
+
+def arguments(config: str | Path | Mapping[str, Any] | None, overrides: Sequence[str] | Mapping[str, Any] = ()) -> str:
+    """Return a job as arguments of a command, such as "job.yaml --set margin_m=0.001".
+
+    Args:
+        config: The job file or example; None: the default job. A mapping has no file, and is called JOB.
+        overrides: Changes to the job, by key or as "key=value".
+    """
+    name = [] if config is None else ["JOB" if isinstance(config, Mapping) else str(config)]
+    changes = overrides.items() if isinstance(overrides, Mapping) else (each.partition("=")[::2] for each in overrides)
+    return shlex.join([*name, *(part for key, value in changes for part in ("--set", f"{key}={value}"))])
+
+
+def reason(end: plans.Outcome, refused: RefusedSegment | None) -> str:
+    """Return the reason why a plan ends, without what the row `segment` says if there is one."""
+    if end.status == Status.PATH_BLOCKED and refused is not None:
+        return "clear configurations were found there, but no segment to one of them was accepted"
+    return end.status.message
+
+
+def attempts(tried: Tried, settings: Settings) -> str:
+    """Return the attempts after a dead end, and the rule by which they ended."""
+    if tried.excluded:
+        return tried.description
+    return (
+        f"{tried.description}; such a search ends after at most {settings.effort:g} (settings.effort) times the "
+        "configurations used before it"
+    )
+
+
+def aim(refused: RefusedSegment, job: PlanConfig) -> dict[str, str]:
+    """Return a line if the clearance at the target is between the margin and what the search aims at; else {}.
+
+    Args:
+        refused: The segment to the target.
+        job: The job.
+    """
+    name, above_m = _aim_above(job)
+    found_m, margin_m = refused.end_clearance_m, refused.margin_m
+    if not margin_m <= found_m < margin_m + above_m:
+        return {}
+    return {
+        "clearance there": f"{1e3 * found_m:.3g} mm, between the {1e3 * margin_m:g} mm that margin_m requires and the "
+        f"{1e3 * (margin_m + above_m):g} mm at which the search aims (settings.{name})"
+    }
+
+
+def next_step(
+    end: plans.Outcome, refused: RefusedSegment | None, dead_ends: Mapping[int, Tried], job: PlanConfig, given: str
+) -> dict[str, str]:
+    """Return a line with one command to run next, for a plan that ends early; {} if none is known.
+
+    Args:
+        end: How the plan ends.
+        refused: The segment to the failed target, if it was measured.
+        dead_ends: Attempts after dead ends, by target.
+        job: The job.
+        given: The job as arguments of a command.
+    """
+    each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
+    if end.status == Status.NO_START:
+        return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
+    if end.status not in MEASURED:
+        return {}
+    if end.failed in dead_ends and dead_ends[end.failed].excluded:
+        return {"next": f"{each}   tests every target"}
+    change = _change(end, refused, job)
+    if change is None:
+        return {"next": f"{each}   tests every target, and names what prevents it"}
+    return {"next": " ".join(filter(None, ["htcp plan", given, f"--set {change[0]}"])) + f"   {change[1]}"}
+
+
+def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
+    """Return the change of one key that is the most likely to help, and what it does; None if none is."""
+    settings, by_beam = job.settings, job.method == "beam"
+    if refused is not None and refused.verdict == SegmentStatus.VALID:
+        name, above_m = _aim_above(job)
+        if refused.end_clearance_m < refused.margin_m + above_m:
+            return f"settings.{name}=0", "accepts every clearance of at least the margin"
+    if refused is not None and refused.leaves_path and refused.tube_m < refused.off_m <= WIDER_TUBE * refused.tube_m:
+        wider_mm = -(-1.1e4 * refused.off_m // 1) / 10  # a tenth more, in tenths of a millimetre
+        return f"settings.path_tolerance_m={wider_mm / 1e3:g}", f"allows the tool {wider_mm:g} mm between targets"
+    if not by_beam:
+        return "method=beam", "keeps several configurations at each target"
+    if settings.effort < MOST_EFFORT:
+        more = min(MOST_EFFORT, MORE_EFFORT * settings.effort) or Settings().effort
+        return f"settings.effort={more:g}", "searches longer after the dead end"
+    if not settings.transfers and job.start_rad != "auto":
+        return "settings.transfers=true", "may begin in another configuration"
+    return None
+
+
+def _aim_above(job: PlanConfig) -> tuple[str, float]:
+    """Return the setting of the clearance above the margin at which the search aims, and its value [m]."""
+    name = "beam_aim_m" if job.method == "beam" else "aim_above_m"
+    return name, getattr(job.settings, name)
