@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import itertools
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -192,7 +193,9 @@ def test_speed_limits_in_a_file_are_those_of_the_joints_that_move(made):
 
 def test_a_coordinate_bears_the_weight_of_all_that_it_moves(tmp_path):
     """The torque at rest is the derivative of the potential energy, by MuJoCo with its constraints solved."""
-    text = re.sub(r'(<joint name="[^>]*>)', r'\1<inertial pos="0.02 0 0.1" mass="2" diaginertia=".1 .1 .1"/>', ARM)
+    masses = itertools.count(2)  # equal ones would be placeholders
+    inertial = '<inertial pos="0.02 0 0.1" mass="{}" diaginertia=".1 .1 .1"/>'
+    text = re.sub(r'(<joint name="[^>]*>)', lambda joint: joint[1] + inertial.format(next(masses)), ARM)
     (tmp_path / "arm.xml").write_text(text)
     model, robot = model_of(RobotConfig(model=str(tmp_path / "arm.xml"))), load_robot(tmp_path / "arm.xml")
     x, h = np.array([[0.3, 0.4, 0.5, -0.6]]), 1e-5

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import sweep_process
 import toy
+import trimesh
 from test_place import TOY_FILE
 
 from htcp_jax.cli import heartbeat, main, output
@@ -31,6 +32,7 @@ WORDS = {
     "plan": "plan job.yaml --out out",
     "program": "program plan --feed 20mm/s --out out/weld.csv --check",
     "robot": f"robot {GP50} --out out/capsules.xml",
+    "tool": "tool torch.stl --tip 0,0,0.1 --out out/torch.xml",
     "cell": f"cell {GP50} --tool tcp --part link1 --out out/cell.xml",
     "sweep": "sweep grid.yaml --methods baseline --shard 2 --out out",
     "prove": "prove plan/motion.csv --job job.yaml --out out",
@@ -53,6 +55,7 @@ def swept(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("swept")
     toy.write_sweep(folder, program={"velocity": [2.0] * 4})
     (folder / "place.yaml").write_text(TOY_FILE)
+    trimesh.creation.cylinder(radius=0.01, segment=[[0, 0, 0], [0, 0, 0.08]]).export(folder / "torch.stl")
     sweep(folder / "grid.yaml", "baseline", folder / "run")
     return folder
 

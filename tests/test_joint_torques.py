@@ -1,6 +1,7 @@
 """Joint torques by inverse dynamics: MJX equals MuJoCo on published arms and a manual calculation on a simple arm."""
 
 import math
+import re
 
 import mujoco
 import numpy as np
@@ -63,6 +64,13 @@ def test_without_inertias_in_the_file_there_are_no_loads(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM.replace('<inertial pos="0.5 0 0" mass="1" diaginertia=".01 .01 .01"/>', ""))
     assert model_of(RobotConfig(model=str(tmp_path / "arm.xml"))) is None
     assert model_of(RobotConfig()) is None
+
+
+def test_links_of_equal_masses_have_placeholders_and_no_loads(tmp_path):
+    (tmp_path / "arm.xml").write_text(re.sub('mass="[0-9.]+"', 'mass="2"', ARM))
+    assert model_of(RobotConfig(model=str(tmp_path / "arm.xml"))) is None
+    (tmp_path / "arm.xml").write_text(re.sub('mass="[0-9.]+"', 'mass="2"', ARM, count=1))
+    assert model_of(RobotConfig(model=str(tmp_path / "arm.xml"))) is not None
 
 
 def test_a_torque_is_the_same_in_any_company_and_at_any_place(tmp_path):

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+import toy
+import trimesh
 
 from htcp_jax.cli import main
 
@@ -96,6 +98,12 @@ def test_an_imported_arm_and_a_cell_fit(printed, tmp_path):
     arm = SCHEMAS.parents[1] / "configs" / "pipe" / "arm.xml"
     fits("robot", printed("robot", arm, "--fix", "a3=0.2", "--out", tmp_path / "arm.xml"))
     fits("robot", printed("cell", arm, "--tool", "tcp", "--part", "link1", "--out", tmp_path / "cell.xml"))
+
+
+def test_a_tool_and_its_check_fit(printed, tmp_path):
+    trimesh.creation.cylinder(radius=0.01, segment=[[0, 0, 0], [0, 0, 0.08]]).export(tmp_path / "pen.stl")
+    fits("tool", printed("tool", tmp_path / "pen.stl", "--tip", "0,0,0.1", "--out", tmp_path / "pen.xml"))
+    fits("tool", printed("tool", toy.write_job(tmp_path, 3, shift_m=(0.45, 0.02, 0.0))))
 
 
 def test_each_schema_describes_every_value_and_is_listed(monkeypatch):

@@ -268,7 +268,7 @@ def test_validate_works_out_that_an_excluded_pair_does_not_always_overlap_and_na
     start = x[int(np.abs(depth - 0.01).argmin())].tolist()  # 10 mm deep, as many random configurations are
     plan = htcp_jax.plan(job(arm, tmp_path, start))
     plan.save(tmp_path / "plan")
-    reported = htcp("validate", tmp_path / "plan", code=1)
+    reported = htcp("validate", tmp_path / "plan", "--verbose", code=1)
     assert "refuted" in reported
     assert re.search(
         r"Deepest overlap of two capsules that are not checked against each other: \w+ and \w+, [\d.]+ mm", reported

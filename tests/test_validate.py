@@ -99,7 +99,9 @@ def inside(planned, spread_rad: float, count: int) -> np.ndarray:
 
 def test_a_run_validates(real, capsys):
     assert main(["validate", str(real)]) == 0
-    assert "validated" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "validated" in printed and "smallest clearance" in printed and "Deepest overlap" not in printed
+    assert len(printed.splitlines()) <= 8
     found = json.loads((real / VALIDATION).read_text())
     one = found["methods"]["baseline"]
     assert found["validated"] and one["refuted"] == 0
@@ -132,7 +134,7 @@ def test_a_mesh_has_both_distances_and_a_long_check_is_announced(tmp_path, monke
     job, run = mesh_job(tmp_path), tmp_path / "run"
     sweep({"grid": [{"workpiece.rotation_y_rad": [0.0, 0.1]}]}, ["baseline"], run, config=job)
     monkeypatch.setattr(time, "perf_counter", lambda clock=time.perf_counter: 1e6 * clock())  # as on a slow machine
-    assert main(["validate", str(run), "--between", "0"]) == 0
+    assert main(["validate", str(run), "--between", "0", "--verbose"]) == 0
     output = capsys.readouterr()
     assert "less cover" in output.out and re.match(r"about [\d,]+ s for 2 plans", output.err)
     one = json.loads((run / VALIDATION).read_text())["methods"]["baseline"]

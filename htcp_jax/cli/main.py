@@ -33,6 +33,7 @@ COMMANDS = {
     "prove": "Prove that the motion in a file of any tool is clear.",
     "robot": "Convert a URDF or MJCF model to an arm of capsules.",
     "cell": "Convert a URDF or MJCF model in which the part moves.",
+    "tool": "Convert a torch's mesh, or check the tool of a job.",
     "sweep": "Plan every scenario of a parameter grid by several methods.",
     "report": "Summarise sweeps in tables and charts.",
     "validate": "Check results independently with MuJoCo.",
@@ -115,6 +116,7 @@ def htcp(
     \b
     Your own robot:
       htcp robot mine/arm.xml --out mine/capsules.xml    convert a URDF or MJCF model
+      htcp tool torch.stl --unit mm --tip 0,0,350 --out torch.xml    convert a torch's mesh
 
     \b
     Help:

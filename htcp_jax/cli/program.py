@@ -324,7 +324,7 @@ def _share_record(found: list[Share]) -> dict[str, dict]:
 
 def _torque(peak_torque: PeakTorque | None) -> str:
     if peak_torque is None:
-        return "unknown: the arm's model has no inertias"
+        return "omitted: the model has no inertias, or placeholders (all links have the same mass)"
     share, at = peak_torque.share, f"{peak_torque.joint} at {peak_torque.time_s:.2f} s"
     at = f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {at}"
     return f"{100 * share:.1f} % of the effort limit, {at}" if share else f"{at}; no effort limit"

@@ -141,13 +141,8 @@ def convert(
     Returns:
         The exit code.
     """
-    fixed, tolerance_m = _fixed_values(fix), _length_m(fit_tolerance)
-    if out.suffix.lower() != ".xml":
-        raise InputError(f"--out is {out}; the output is an MJCF file, whose name must end in .xml")
-    picture = out.with_suffix(".png")
-    for file in (out, picture):
-        if file.exists() and not replace:
-            raise InputError(f"{file} exists; pass --replace to overwrite it, manual changes included")
+    fixed, tolerance_m = _fixed_values(fix), tolerance_m_of(fit_tolerance)
+    picture = picture_of(out, replace)
     with progress_bar("bodies") as progress:
         arm = robots.import_robot(model, tolerance_m=tolerance_m, fixed=fixed, progress=progress, **options)
     source = os.path.relpath(model, out.parent)
@@ -169,7 +164,7 @@ def convert(
             shown = f"{len(made.joint_names)} joints, {len(made.capsule_names)} capsules; TCP {arm.tip.name}{carried}"
             title = f"{made.name}: {shown}"
             draw_arm(arm, (folder / out.name).read_text(encoding="utf-8"), title).savefig(folder / picture.name)
-    table, facts = _robot_table(arm), _robot_facts(arm, made)
+    table, facts = bodies_table(arm), _robot_facts(arm, made)
     facts["self-collision"] = own.described(made) if own else "no pairs to check"
     shares = checked.shares
     facts["clear"] = shares.described()
@@ -186,6 +181,21 @@ def convert(
     lines = {name: ", ".join(value) if isinstance(value, tuple) else value for name, value in facts.items() if value}
     print_facts(title, lines | {"files": f"{out}, {picture}"})
     return 0
+
+
+def picture_of(out: Path, replace: bool) -> Path:
+    """Return the file of the picture next to an output file.
+
+    Raises:
+        InputError: For an ending other than .xml, and for a file that exists, unless it is to be replaced.
+    """
+    if out.suffix.lower() != ".xml":
+        raise InputError(f"--out is {out}; the output is an MJCF file, whose name must end in .xml")
+    picture = out.with_suffix(".png")
+    for file in (out, picture):
+        if file.exists() and not replace:
+            raise InputError(f"{file} exists; pass --replace to overwrite it, manual changes included")
+    return picture
 
 
 def _fixed_values(options: Iterable[str]) -> dict[str, float]:
@@ -209,7 +219,7 @@ def _fixed_values(options: Iterable[str]) -> dict[str, float]:
     return values
 
 
-def _length_m(text: str | None) -> float | None:
+def tolerance_m_of(text: str | None) -> float | None:
     """Return the value of `--fit-tolerance` [m]; None if it is not set.
 
     Raises:
@@ -222,7 +232,8 @@ def _length_m(text: str | None) -> float | None:
     return quantity("--fit-tolerance", text, {**LENGTHS, "": 1.0}, "5mm", valid, low, high)
 
 
-def _robot_table(arm: robots.ImportedArm) -> Table:
+def bodies_table(arm: robots.ImportedArm) -> Table:
+    """Return the table of an imported model's bodies, with the fit of their capsules."""
     rows = []
     for b, cover in arm.covers.items():
         counts = len(cover.own), len(cover.fitted)

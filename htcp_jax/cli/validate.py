@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from htcp_jax.cli.output import Json, print_json, print_table, progress_bar, stdout
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
 from htcp_jax.report import validation
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.runs import manifest, open_run, plan_folder
@@ -30,9 +30,18 @@ Feed = Annotated[
     str | None, typer.Option(metavar="SPEED", help="Feed rate at which joint speeds are computed; by default 10mm/s.")
 ]
 
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="Also print the tables by method, and what their columns mean.")
+]
+
 
 def validate(
-    run: Run, between: BetweenTargets = 20, feed: Feed = None, feed_mm_s: FeedMmS = 10.0, as_json: Json = False
+    run: Run,
+    between: BetweenTargets = 20,
+    feed: Feed = None,
+    feed_mm_s: FeedMmS = 10.0,
+    verbose: Verbose = False,
+    as_json: Json = False,
 ) -> int:
     """Check plans with MuJoCo's kinematics and distances on the robot's model file, without the planner's code.
 
@@ -72,18 +81,24 @@ def validate(
     if as_json:
         print_json(validation_record(found))
     else:
-        _print_validation(run, found)
+        _print_validation(run, found, verbose)
     return VALIDATED if found.validated else REFUTED
 
 
-def _print_validation(run: Path, found: Validation) -> None:
+def _print_validation(run: Path, found: Validation, verbose: bool) -> None:
     console = stdout()
     recorded = validation_record(found)
-    for table in validation.validation_tables(recorded):
-        print_table(console, table)
-        console.print()
-    labels = open_run(run).labels() if (run / manifest.MANIFEST).exists() else {}
-    for line in (*validation.scenarios_named(recorded, labels), *validation.notes(recorded)):
+    is_sweep = (run / manifest.MANIFEST).exists()
+    labels = open_run(run).labels() if is_sweep else {}
+    lines = found.unchecked
+    if verbose:
+        for table in validation.validation_tables(recorded):
+            print_table(console, table)
+            console.print()
+        lines = (*validation.scenarios_named(recorded, labels), *validation.notes(recorded))
+    else:
+        print_facts(run.name, validation.plain_lines(recorded, is_sweep))
+    for line in lines:
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:
         where = f"{one.method}, scenario {run_labels.named_scenario(one.scenario, labels)}, target {one.target}: "

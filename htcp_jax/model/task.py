@@ -8,7 +8,7 @@ numbers of a target's goal. If N - M = 0, the arm has no redundancy and no null 
 and their tolerances.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from htcp_jax.model.kinematics import (
 from htcp_jax.model.robot import ArmFrame, Robot
 from htcp_jax.model.task_rows import XYZ, Feature, Row, TaskPoint
 from htcp_jax.numerics import product, safe_norm
-from htcp_jax.types import Anywhere, Array, Float, Joints, Scalar
+from htcp_jax.types import Anywhere, Array, Float, Int, Joints, Scalar
 
 Numbers = Anywhere | np.generic | float | bool
 EXACT = 1e-9  # [m or rad]; smaller violations of an inequality are rounding
@@ -130,6 +130,32 @@ class Task:
         """The task of compiled functions that serve axes with and without a cone, see `AxisTowards.is_either`."""
         parts = (part.either if isinstance(part, AxisTowards) else part for part in self.parts)
         return replace(self, parts=tuple(parts))
+
+    def of_link(self, link: int, other: int) -> tuple["Task", Int[np.ndarray, "g"], tuple[int, ...]]:
+        """Return the rows that depend only on the pose of one link, as rows about a link of another robot.
+
+        Args:
+            link: The link; it carries the TCP.
+            other: The link of the other robot that replaces it.
+
+        Returns:
+            The task, the indices of its numbers in a goal of this task, and the rows, counted from 1, that it lacks.
+        """
+        parts, numbers, missing = [], [], []
+        for k, (part, start) in enumerate(zip(self.parts, self.starts, strict=True), 1):
+            if any(each.link not in (link, None) or each.seen_from is not None for each in part.features):
+                missing.append(k)
+                continue
+            moved = {}
+            for field in fields(part):
+                value = getattr(part, field.name)
+                if field.name == "link" and value is not None:
+                    moved["link"] = other
+                elif isinstance(value, ArmFrame) and value.link is not None:
+                    moved[field.name] = value._replace(link=other)
+            parts.append(replace(part, **moved))
+            numbers += range(start, start + part.numbers)
+        return replace(self, parts=tuple(parts)), np.array(numbers, int), tuple(missing)
 
     @property
     def optional(self) -> int:

@@ -8,6 +8,7 @@ from .reachability import (
     Reachability,
     reachable_prefixes,
 )
+from .tool_clearance import ToolClearance, tool_clearances
 
 __all__ = [
     "PROOF_CELLS",
@@ -17,7 +18,9 @@ __all__ = [
     "Obstruction",
     "Reach",
     "Reachability",
+    "ToolClearance",
     "memo",
     "obstruction",
     "reachable_prefixes",
+    "tool_clearances",
 ]

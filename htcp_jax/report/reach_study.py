@@ -105,7 +105,7 @@ class ReachStudy:
         """Return the table of the number of targets by reach; for a single scenario it also lists the targets."""
         rows, reach = reach_rows(self.each.reach), self.each.reach
         if len(reach) == 1:
-            rows = [row | {"which": _ranges(np.flatnonzero(reach[0] == row["value"]))} for row in rows]
+            rows = [row | {"which": ranges(np.flatnonzero(reach[0] == row["value"]))} for row in rows]
         return Table.of("reach-summary", ("reach", "targets", "percent", "which"), rows).without_empty()
 
     def table(self) -> Table:
@@ -292,8 +292,8 @@ def _resolution(batch: Batch, found: Reachability, requested_rad: float) -> floa
     return max(requested_rad, float(found.resolution_rad.max()))
 
 
-def _ranges(numbers: np.ndarray) -> str:
-    """Return numbers as text in ranges, such as "3-17, 22", with at most LISTED ranges."""
+def ranges(numbers: np.ndarray) -> str:
+    """Return ascending numbers as text in ranges, such as "3-17, 22", with at most LISTED ranges."""
     parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     words = [f"{own[0]}-{own[-1]}" if len(own) > 1 else f"{own[0]}" for own in parts]
     return ", ".join(words[:LISTED]) + (", ..." if len(words) > LISTED else "")

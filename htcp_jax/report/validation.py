@@ -1,5 +1,6 @@
 """Tables and sentences on the results of `htcp validate`, for the report and the terminal."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,45 @@ def validation_summary(found: dict[str, Any]) -> str:
     outcome = "Validated: MuJoCo refutes none" if found["validated"] else f"Not valid: MuJoCo refutes {refuted:,}"
     between = f"; {touching:,} of the {paths:,} joint paths between them collide" if found["between"] else ""
     return f"{outcome} of {checked:,} tracked targets{between}."
+
+
+def plain_lines(found: dict[str, Any], is_sweep: bool) -> dict[str, str]:
+    """Return a validation's results in a few facts: clearance, TCP, task, joint speeds; of several methods the worst.
+
+    Args:
+        found: Contents of validation.json.
+        is_sweep: True to name scenarios and methods with the targets.
+    """
+
+    def place(check: dict, key: str) -> str:
+        scenario, target = check[key]
+        return f"target {target}" + (f" of scenario {scenario} by {check['method']}" if is_sweep else "")
+
+    facts, checks = {}, [{"method": method, **check} for method, check in found["methods"].items()]
+    if at := _worst(checks, "clearance_min_mm", min):
+        facts["smallest clearance"] = f"{at['clearance_min_mm']:.3g} mm, at {place(at, 'clearance_min_at')}"
+        if between := _worst(checks, "clearance_between_min_mm", min):
+            near = f"{between['clearance_between_min_mm']:.3g} mm, near {place(between, 'clearance_between_min_at')}"
+            facts["smallest clearance"] += f"; between the targets {near}"
+    if at := _worst(checks, "tcp_error_max_mm", max):
+        facts["tool's tip"] = f"within {at['tcp_error_max_mm']:.3g} mm of each target"
+        if line := _worst(checks, "line_deviation_max_mm", max):
+            facts["tool's tip"] += f", and within {line['line_deviation_max_mm']:.3g} mm of the line between them"
+    rows = [row | {"method": check["method"]} for check in checks for row in check.get("rows", ())]
+    if rows := [row for row in rows if row["unit"] != "mm"] or rows:
+        row = max(rows, key=lambda each: each["off"] / each["most"] if each["most"] else each["off"])
+        facts["task"] = f"{row['row']}: {row['off']:.3g} of {row['most']:.3g} {row['unit']} used, the most of all rows"
+    if at := _worst(checks, "speed_ratio_max", max):
+        speed = f"{100 * at['speed_ratio_max']:.2g} % of the limit of {at['speed_joint']}"
+        facts["joint speeds"] = f"at most {speed}, for a feed rate of {found['feed_mm_s']:g} mm/s"
+    if touching := sum(check["paths_touching"] or 0 for check in checks):
+        facts["joint paths that collide"] = f"{touching:,} of {sum(check['paths'] or 0 for check in checks):,}"
+    return facts
+
+
+def _worst(checks: list[dict], key: str, best: Callable) -> dict | None:
+    known = [check for check in checks if check.get(key) is not None]
+    return best(known, key=lambda check: check[key]) if known else None
 
 
 def validation_tables(found: dict[str, Any]) -> tuple[Table, ...]:

@@ -2,8 +2,8 @@
 
 Only inertias from `<inertial>` elements of the URDF or MJCF file are used. They are not estimated from shapes: if a
 link has no inertia, the torques are unknown. A tool that the job mounts has no mass. Gravity is 9.81 m/s2 downwards in
-the world. Damping and armature are included if the model has them. MJX computes many configurations at once; a test
-compares it with MuJoCo.
+the world. Damping and armature are included if the model has them. Equal masses of all moving links are placeholders
+that an exporter wrote, and are not used. MJX computes many configurations at once; a test compares it with MuJoCo.
 """
 
 import contextlib
@@ -31,6 +31,7 @@ from htcp_jax.spec import config, model_source, tool
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81
+FEWEST_EQUAL = 3  # number of moving bodies with equal masses from which on the masses are placeholders
 AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
 TORQUES_EVERY_S = 0.01  # time step between samples
 # On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
@@ -48,7 +49,7 @@ class PeakTorque(NamedTuple):
 
 
 def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = None) -> mujoco.MjModel | None:
-    """Return the model of a job's arm with its inertias; None if a link has no inertia.
+    """Return the model of a job's arm with its inertias; None if a link has none, or if all masses are equal.
 
     Args:
         arm: The job's section of the arm.
@@ -63,8 +64,12 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     delete_all(spec, spec.tuples, spec.excludes, spec.geoms, spec.meshes)
     model = compile_spec(spec, path)
     fix_joints(model, path, dict(arm.locked))
-    massive = model.body_weldid[massive_bodies(spec)]
-    if not np.isin(model.body_weldid[model.jnt_bodyid], massive).all():
+    massive = massive_bodies(spec)
+    moved = np.isin(model.body_weldid[massive], model.body_weldid[model.jnt_bodyid])
+    mass = model.body_mass[massive][moved]
+    if not np.isin(model.body_weldid[model.jnt_bodyid], model.body_weldid[massive]).all():
+        return None
+    if len(mass) >= FEWEST_EQUAL and np.ptp(mass) == 0:
         return None
     model.opt.gravity = tool.pose(tool.ZERO, turned)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
     model.opt.disableflags |= int(_OFF)

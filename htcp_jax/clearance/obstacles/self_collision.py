@@ -149,9 +149,9 @@ def make_self_collision(robot: Robot) -> SelfCollision | None:
     if tool := [each for each in excluded if {each.first, each.second} & set(robot.mounted) and each.rule == "b"]:
         names = ", ".join(f"{robot.capsule_names[a]} and {robot.capsule_names[b]}" for a, b, *_ in tool)
         warnings.warn(
-            f"not checked against each other: {names}; the capsules overlap, or are within 1 mm, in at least 95 % of "
-            "the sampled configurations; to check them, begin the tool's or fixture's body farther out, or fit the arm "
-            "closer (htcp robot --fit-tolerance)",
+            f"not checked against each other: {names}; a motion in which they collide counts as clear; the capsules "
+            "overlap, or are within 1 mm, in at least 95 % of the sampled configurations; to check them, begin the "
+            "tool's or fixture's body farther out, or fit the arm closer (htcp robot --fit-tolerance)",
             UserWarning,
             stacklevel=2,
         )

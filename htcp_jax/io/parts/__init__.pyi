@@ -1,6 +1,6 @@
 from .path_file import PathPoints, has_feeds, read_path_points
 from .point_cloud import load_geometry
-from .units import check_cell_extent, check_tool
+from .units import check_cell_extent, check_tool, check_tool_extent
 from .workpiece_source import (
     GeneratedDuct,
     NoCloud,
@@ -20,6 +20,7 @@ __all__ = [
     "WorkpieceSource",
     "check_cell_extent",
     "check_tool",
+    "check_tool_extent",
     "has_feeds",
     "load_geometry",
     "load_workpiece",

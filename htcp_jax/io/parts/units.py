@@ -21,6 +21,7 @@ KEYS = {"millimetres": "mm", "inches": "in", "centimetres": "cm", "metres": "m"}
 LARGE = 2.0  # ratio of a part's size to the arm's reach from which on a warning is given
 ABSURD = 5.0  # ratio of sizes from which on a part is refused, see the module's docstring
 REMEDY = 'check that lengths are in metres; a mesh in millimetres needs scale="0.001 0.001 0.001" in the model'
+TOOL_M = 0.01, 3.0  # smallest and largest plausible size of a tool's mesh [m]
 HALL = 50.0  # ratio of the size of a cell's mesh or cloud to the arm's reach from which on a warning is given
 STAND_OFF = 0.5  # factor of the largest plausible distance of a path from its part, see `_stand_off`
 
@@ -107,6 +108,33 @@ def check_tool(robot: Robot, extension_m: float = 0.0) -> None:
         _report(text, length > ABSURD * links)
     if thickest > links:
         _report(f"{measured}, but a body has a radius of {thickest:.3g} m; {REMEDY}", thickest > ABSURD * links)
+
+
+def check_tool_extent(
+    mesh: Float[np.ndarray, "P 3"], tip: Float[np.ndarray, "3"], name: str, unit: str | None = None
+) -> None:
+    """Check that a tool's mesh has a plausible size, and that its tip is near it.
+
+    Args:
+        mesh: Points of the mesh [m].
+        tip: The tip, in the mesh's frame [m].
+        name: The mesh's name, for messages.
+        unit: Unit in which its file was read; None: m, or the unit that the file states.
+
+    Raises:
+        InputError: For an implausible size, and for a tip that is farther from the mesh than the mesh is long.
+    """
+    (least, most), extent = TOOL_M, _extent(mesh)
+    if not least <= extent <= most:
+        size = PER_METRE[unit or "m"] * extent
+        units = [unit for name, unit in KEYS.items() if least <= METRES.get(name, 1.0) * size <= most]
+        remedy = f"it seems to be in {units[0]}; pass --unit {units[0]}" if units else "check the file"
+        raise InputError(f"{name} extends over {extent:.3g} m, but a tool over {least:g} to {most:g} m; {remedy}")
+    if (away := float(np.linalg.norm(mesh - tip, axis=1).min())) > extent:
+        raise InputError(
+            f"--tip is {away:.3g} m from {name}, which extends over {extent:.3g} m; both must be in the same frame and "
+            "unit"
+        )
 
 
 def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:

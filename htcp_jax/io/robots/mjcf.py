@@ -22,7 +22,7 @@ Listed = tuple[str, str, str, float]  # an `Exclusion`, with the capsules' names
 HEAD = """
   {what} of capsules, made by htcp {command} from {source}. Metres, radians.
   Correct what is not as it should be: a capsule's "fromto" are the ends of its axis in the frame of its body, "size" is
-  its radius. The site "tcp" is the TCP: here {tip} of the model.{frozen}
+  its radius. The site "tcp" is the TCP{tip}.{frozen}
 """
 PART_HEAD = """
     The link that carries the part: workpieces are posed in its frame. The joints from it to the TCP are the robot's.
@@ -60,7 +60,9 @@ def arm_xml(arm: ImportedArm, source: str, listed: Sequence[Listed] | None = Non
     frozen += f"\n  Frozen at a value: {', '.join(fixed_text(arm))}." if arm.fixed else ""
     root = Element("mujoco", model=arm.name)
     what, command = ("An arm", "robot") if arm.part is None else ("A cell", "cell")
-    tip = arm.tip.name or "its only site"
+    tip = f": here {arm.tip.name or 'its only site'} of the model"
+    if not arm.chain.joints:
+        what, command, tip = "A tool", "tool", ", the frame's origin is on the flange"
     root.append(_comment(HEAD.format(what=what, command=command, source=source, tip=tip, frozen=frozen)))
     light = {"boundmass": "1e-6", "boundinertia": "1e-6"}  # else MuJoCo refuses a link without a capsule
     SubElement(root, "compiler", angle="radian", autolimits="true", **light)
