@@ -104,8 +104,18 @@ def test_a_contour_begins_where_its_first_move_at_a_feed_begins_and_rapids_divid
 
 
 def test_the_tool_axis_holds_until_it_changes_and_begins_with_z(tmp_path):
-    found = read(tmp_path, f"{START}GOTO/1,0,0\nTLAXIS/0,1,0\nGOTO/2,0,0\nGOTO/3,0,0,1,0,0\nMULTAX/OFF\nGOTO/4,0,0\n")
-    assert found.frames.normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 1, 0], [1, 0, 0], [1, 0, 0]]
+    found = read(tmp_path, f"{START}GOTO/1,0,0\nTLAXIS/0,1,0\nGOTO/2,0,0\nGOTO/3,0,0,0,0,-1\nMULTAX/OFF\nGOTO/4,0,0\n")
+    assert found.frames.normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 0, -1], [0, 0, -1]]
+
+
+def test_moves_along_the_tools_axis_at_the_ends_of_a_contour_are_no_part_of_the_seam(tmp_path):
+    weld = "GOTO/0,0,50,0,0,1\nGOTO/0,0,20\nGOTO/0,0,0\nGOTO/9,0,0\nGOTO/9,9,0\nGOTO/9,9,40\n"
+    (tmp_path / "weld.apt").write_text(f"UNITS/MM\nRAPID\n{weld}FINI\n")
+    with pytest.warns(Note, match="3 moves at a feed along the tool's axis, to or from the ends of contours"):
+        found = read_path_points(tmp_path / "weld.apt")
+    np.testing.assert_allclose(1e3 * found.xyz, [[0, 0, 0], [9, 0, 0], [9, 9, 0]], atol=1e-12)
+    drill = "GOTO/0,0,50,0,0,1\nGOTO/0,0,0\n"
+    assert len(read(tmp_path, f"UNITS/MM\nRAPID\n{drill}").xyz) == 2
 
 
 def test_contours_are_called_as_their_operations(tmp_path):
@@ -170,13 +180,13 @@ def test_what_is_not_used_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{START}CYCLE/DRILL,5\n", ", line 5: CYCLE is not known, it may move"),
+        (f"{START}CYCLE/DRILL,5\n", ", line 5: CYCLE moves in a way that cannot be read; let the CAM system"),
         (f"{START}CIRCLE/0,0,0,0,0,1,5\n", ", line 5: CIRCLE moves in a way that cannot be read"),
         (f"{START}ARCSLP/ON\n", ", line 5: ARCSLP moves in a way"),
         (f"{START}TLON,GOFWD/(CIRCLE/0,0,0,$\n5),ON,(LINE/0,0,0,1,1,1)\n", ", line 5: TLON,GOFWD moves in a way"),
         (f"{START}ROTABL/90\n", ", line 5: ROTABL is not known, it may move; only GOTO"),
         (f"{START}TRACUT/1\n", ", line 5: TRACUT is not known"),
-        (f"{START}CUTCOM/LEFT\n", ", line 5: CUTCOM is not known"),
+        (f"{START}CUTCOM/LEFT\n", ", line 5: CUTCOM moves in a way that cannot be read"),
         (f"{START}MULTAX/3\n", ", line 5: MULTAX is not known"),
         (f"{START}ORIGIN/1,0,0\n", ", line 5: ORIGIN is not known"),
         (f"{START}GOTO/1,2\n", ", line 5: GOTO has 2 values; valid: 3 or 6"),

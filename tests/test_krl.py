@@ -90,7 +90,7 @@ def test_seams_are_comments_and_outputs_are_set_at_both_ends_after_an_exact_stop
     on, off = ["$OUT[5]=TRUE", "$OUT[6]=FALSE"], ["$OUT[5]=FALSE"]
     rib = ["; air move", "PTP C_PTP", "PTP", "; seam rib", *on, "; process", "PTP C_PTP", "PTP", *off]
     boss = ["; air move", "PTP", "; seam a long name ?", *on, "; process", "PTP C_PTP", "PTP", *off]
-    assert short == ["PTP", *rib, *boss]
+    assert short == [*off, "PTP", *rib, *boss]
 
 
 HEAD, TAIL = "DEF a()\n", "END\n"

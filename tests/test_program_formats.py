@@ -390,14 +390,14 @@ OUTPUTS = ProcessOutputs(on=((5, True), (6, False)), off=((5, False),))
         ("urscript", tuple(f"set_standard_digital_out({k}, {v})" for k, v in ((5, True), (6, False), (5, False)))),
     ],
 )
-def test_outputs_are_set_after_the_moves_to_both_ends_of_a_seam(format, words):
+def test_outputs_are_off_before_any_motion_and_set_after_the_moves_to_both_ends_of_a_seam(format, words):
     """A seam of one point sets both."""
     text = program_text(format, a_motion(), whole(a_motion())._replace(seams=SEAMS, process=OUTPUTS))
     lines = [re.sub(r"^ *\d+: *| ;$", "", line).strip() for line in text.splitlines()]
     moves = ("MOVJ", "MOVL", "MoveAbsJ", "PTP", "J P", "movej", "servoj")
     short = ["move" if line.startswith(moves) else line for line in lines if line.startswith((*moves, *words))]
     on, off = list(words[:2]), [words[2]]
-    assert short == ["move", *on, "move", *off, "move", *on, *off]
+    assert short == [*off, "move", *on, "move", *off, "move", *on, *off]
     assert "other signals than those of program.process" in re.sub(
         r"\s+", " ", re.sub(r"( ;)?\r\n *(\d+: +!|[';])", " ", text)
     )

@@ -61,9 +61,9 @@ def prove(
 ) -> int:
     """Prove or refute that the motion in a file of any tool is clear in the cell of a job, segment by segment.
 
-    Reads trajectories (CSV, ROS, NumPy, MuJoCo key frames) and robot programs with joint targets (RAPID, URScript,
-    Yaskawa pulses), and moves between their configurations as their controllers do. A proof holds for every point of
-    the motion, not for samples. Writes proof.json, segments.parquet (one row per segment) and proof.png.
+    Reads trajectories (CSV, ROS, NumPy, MuJoCo key frames) and robot programs with joint targets (RAPID, KRL, LS,
+    URScript, Yaskawa pulses), and moves between their configurations as their controllers do. A proof holds for every
+    point of the motion, not for samples. Writes proof.json, segments.parquet (one row per segment) and proof.png.
 
     Also reported: joint limits, and where the job has a path, the distance of the TCP from it.
 

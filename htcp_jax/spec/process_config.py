@@ -6,7 +6,7 @@ process: {on: {5: true}, off: {5: false}}
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, PlainSerializer
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.spec import strict_model
@@ -46,4 +46,11 @@ class ProcessConfig(strict_model.FileSection):
     """Outputs, by number or for rapid by name, and their values at both ends of each seam: {5: true}."""
 
     on: Outputs = Field(())  # set at the first configuration of each seam
-    off: Outputs = Field(())  # set at the last configuration of each seam
+    off: Outputs = Field(())  # set at the last configuration of each seam, and before the program's first motion
+
+    @model_validator(mode="after")
+    def _is_switched_back(self) -> "ProcessConfig":
+        missing = [output for output, _ in self.on if output not in dict(self.off)]
+        if missing:
+            raise InputError(f"process.on sets {missing[0]}, but process.off does not; state its value in both")
+        return self

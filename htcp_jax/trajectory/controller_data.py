@@ -22,6 +22,9 @@ class UserFrame(NamedTuple):
     flags: Int[np.ndarray, "n 6"]
 
 
+BEGIN = -1  # row before the first one
+
+
 class PlannedTcp(NamedTuple):
     """Planned TCP, and the name of the frame to which its pose is relative."""
 
@@ -41,7 +44,7 @@ class ProcessOutputs(NamedTuple):
     """Digital outputs, by number or name, and the values to which a program sets them."""
 
     on: tuple[tuple[int | str, bool], ...] = ()  # at the first point of each seam
-    off: tuple[tuple[int | str, bool], ...] = ()  # at the last point of each seam
+    off: tuple[tuple[int | str, bool], ...] = ()  # at the last point of each seam, and at the program's begin
 
 
 class ControllerData(NamedTuple):
@@ -67,7 +70,9 @@ class ControllerData(NamedTuple):
     j3_from: str = "upper_arm"  # where joint 3 of a FANUC arm is counted from: "upper_arm" or "horizontal"
 
     def outputs_after(self, row: int) -> list[tuple[int | str, bool]]:
-        """Return the outputs that are set at a row of the file, in order."""
+        """Return the outputs that are set at a row of the file, in order; at row BEGIN those before any motion."""
+        if row == BEGIN:
+            return list(self.process.off) if self.seams else []
         ends = [seam for seam in self.seams if seam.last == row] if self.process.off else []
         begins = [seam for seam in self.seams if seam.first == row] if self.process.on else []
         points = [seam for seam in begins if seam in ends]

@@ -50,7 +50,8 @@ IDENTITIES = {  # records that state the points' frame, with the values of the p
     "MSYS": [0, 0, 0, 1, 0, 0, 0, 1, 0],
     "CSYS": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0],
 }
-ARCS = {"CIRCLE", "ARC", "MOVARC", "TLON", "CYLNDR", "ARCSLP"}
+ALONG = 0.9998  # cosine of the angle within which a move is along the tool's axis
+ARCS = {"CYCLE", "CUTCOM", "CIRCLE", "ARC", "MOVARC", "TLON", "CYLNDR", "ARCSLP"}
 
 
 class AptPath(NamedTuple):
@@ -154,7 +155,8 @@ class _Reader:
         self.is_open = False  # True: the next move at a feed continues the last contour
         self.frames: list[str] = []  # stated frames
         self.unused: set[str] = set()
-        self.tools = 0
+        self.tools: set[str] = set()
+        self.units_line = 0  # line of the last UNITS
         self.last = ""  # word of the last record
 
     def fail(self, record: _Record, message: str) -> None:
@@ -192,10 +194,11 @@ class _Reader:
                 record, f"{word} moves in a way that cannot be read; let the CAM system write arcs as points, by GOTO"
             )
         elif word in STILL or word.startswith("CSI_"):
-            self.tools += word in ("LOADTL", "LOAD")
+            self.tools |= {",".join(record.values).upper()} if word in ("LOADTL", "LOAD") else set()
             self.unused |= {word} - QUIET
         else:
-            self.fail(record, f"{word[:40]} is not known, it may move; only GOTO, GODLTA, FROM and RAPID can be read")
+            readable = "only GOTO, GODLTA, FROM and RAPID can be read; let the CAM system write points, by GOTO"
+            self.fail(record, f"{word[:40]} is not known, it may move; {readable}")
 
     def _frame(self, record: _Record) -> None:
         """Keep the frame of the points that follow.
@@ -211,7 +214,8 @@ class _Reader:
     def _numbers(self, record: _Record, cells: list[str], counts: tuple[int, ...]) -> list[float]:
         if len(cells) not in counts:
             valid = " or ".join(map(str, counts))
-            self.fail(record, f"{record.word} has {len(cells)} values; valid: {valid}")
+            hint = "; is the $ missing that continues the line?" if cells and not cells[-1] else ""
+            self.fail(record, f"{record.word} has {len(cells)} values; valid: {valid}{hint}")
         for cell in cells:
             if NUMBER.fullmatch(cell) is None:
                 self.fail(record, f"{record.word} holds {cell[:40]!r}, which is not a number")
@@ -280,16 +284,19 @@ class _Reader:
         if name not in LENGTHS:
             self.fail(record, f"UNITS/{name[:40]} is not known; valid: {', '.join(LENGTHS)}")
         if self.chosen is None:
-            self.state.unit = LENGTHS[name]
+            if self.state.unit not in (None, LENGTHS[name]):
+                self.fail(record, f"UNITS/{name}, but line {self.units_line} has another unit; write one in each file")
+            self.state.unit, self.units_line = LENGTHS[name], record.line
         elif LENGTHS[name] != self.chosen:
             text = f"the unit is {LENGTHS[name]} in UNITS and {self.chosen} in the job; the job's is used"
             warnings.warn(f"{self.path}: {text}", UserWarning, stacklevel=5)
 
     def found(self) -> AptPath:
         """Return the contours as seams."""
-        contours = [each for each in self.contours if len(each.points) > 1]
-        if not contours:
+        whole = [each for each in self.contours if len(each.points) > 1]
+        if not whole:
             raise InputError(f"{self.path}: no contour: no GOTO at a feed leads away from a position")
+        contours = [_without_plunges(each) for each in whole]
         xyz = np.concatenate([each.points for each in contours])
         arrays.check_points(xyz, str(self.path), at_least=1)
         axes = [axis for each in contours for axis in each.axes]
@@ -302,6 +309,9 @@ class _Reader:
         ]
         feeds = [each.feeds[0] if len({*each.feeds}) == 1 else None for each in contours]
         self._name_unused(contours)
+        if plunges := sum(len(each.points) for each in whole) - len(xyz):
+            what = f"{plunges} moves at a feed along the tool's axis, to or from the ends of contours, are not used: "
+            warnings.warn(f"{self.path}: {what}the planner finds its own approach", Note, stacklevel=5)
         return AptPath(xyz, normals, seams, feeds)
 
     def _name_unused(self, contours: list[_Contour]) -> None:
@@ -312,8 +322,8 @@ class _Reader:
             notes.append(f"records that are not used: {', '.join(sorted(self.unused))}")
         if self.frames and any(not _is_identity(frame) for frame in self.frames):
             notes.append("its frame (MSYS, CSYS, CATIA0) is not applied: points are used as written")
-        if self.tools > 1:
-            notes.append(f"{self.tools} tools are loaded, but all seams are planned with the job's tool")
+        if len(self.tools) > 1:
+            notes.append(f"{len(self.tools)} tools are loaded, but all seams are planned with the job's tool")
         if several := [each for each in contours if len({*each.feeds}) > 1]:
             feeds = ", ".join(
                 "unknown" if feed is None else f"{1e3 * feed:.6g}" for feed in dict.fromkeys(several[0].feeds)
@@ -322,6 +332,27 @@ class _Reader:
             notes.append(f"{what}, which are not used; set program.feed")
         for note in notes:
             warnings.warn(f"{self.path}: {note}", Note, stacklevel=6)
+
+
+def _without_plunges(contour: _Contour) -> _Contour:
+    """Return a contour without first moves along the tool's axis to the part, and last ones away from it.
+
+    A contour of such moves only is returned as it is.
+    """
+    steps = np.diff(contour.points, axis=0)
+    axes = np.array([np.zeros(3) if axis is None else axis for axis in contour.axes])
+    lengths = np.linalg.norm(steps, axis=1)
+    along = np.sum(steps * axes[1:], axis=1)
+    first, last = 0, len(steps)
+    while first < last and along[first] < -ALONG * lengths[first]:
+        first += 1
+    while first < last and along[last - 1] > ALONG * lengths[last - 1]:
+        last -= 1
+    if first == last:
+        return contour
+    return contour._replace(
+        points=contour.points[first : last + 1], axes=contour.axes[first : last + 1], feeds=contour.feeds[first:last]
+    )
 
 
 def _filled(axes: list[np.ndarray | None]) -> Float[np.ndarray, "T 3"]:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.status import Kind
-from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, JointGroups, UserFrame, header
+from htcp_jax.trajectory.controller_data import BEGIN, CHECK_AXES, ControllerData, JointGroups, UserFrame, header
 from htcp_jax.trajectory.formats.controller_limits import INFORM_LINES
 from htcp_jax.trajectory.formats.names import check_name, output_number
 from htcp_jax.trajectory.formats.parts import ProgramFile, split
@@ -147,15 +147,20 @@ def _pulse_content(timed: TimedMotion, controller: ControllerData) -> _Content:
 
 
 def _with_outputs(lines: Iterable[str], rows: slice, controller: ControllerData, format: str) -> Iterator[str]:
-    """Yield the moves to some rows, with the outputs that are set there after a full stop."""
+    """Yield the moves to some rows, with the outputs that are set there after a full stop, and before any motion."""
+    yield from _outputs(controller, BEGIN, format) if rows.start == 0 else ()
     for row, line in enumerate(lines, start=rows.start):
         if row not in controller.rows_with_outputs:
             yield line
             continue
         move, plus, station = line.partition(" +")
         yield (move if move.endswith(" PL=0") else f"{move} PL=0") + plus + station
-        for output, value in controller.outputs_after(row):
-            yield f"DOUT OT#({output_number(format, output)}) {'ON' if value else 'OFF'}"
+        yield from _outputs(controller, row, format)
+
+
+def _outputs(controller: ControllerData, row: int, format: str) -> Iterator[str]:
+    for output, value in controller.outputs_after(row):
+        yield f"DOUT OT#({output_number(format, output)}) {'ON' if value else 'OFF'}"
 
 
 def _one_job(content: _Content, count: int, controller: ControllerData) -> str:
@@ -171,7 +176,7 @@ def _one_job(content: _Content, count: int, controller: ControllerData) -> str:
 
 def _jobs(content: _Content, count: int, controller: ControllerData) -> list[ProgramFile]:
     remarks = [*_remarks(content.about)]
-    outputs = sum(len(controller.outputs_after(row)) for row in controller.rows_with_outputs)
+    outputs = sum(len(controller.outputs_after(row)) for row in (BEGIN, *controller.rows_with_outputs))
     if len(remarks) + count + outputs + 2 <= MOST_LINES:
         return [ProgramFile("", _one_job(content, count, controller), range(count))]
     parts = split(count, MOST_LINES - 2 - PART_REMARKS - outputs)

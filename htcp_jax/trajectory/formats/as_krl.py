@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.controller_data import BEGIN, CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, check_robot, exact_rows, section_names, tcp_sentences
 from htcp_jax.trajectory.formats.names import KRL_WORDS, check_name, comment, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -37,7 +37,7 @@ MORE = (
     "No times: speeds stand for them, in percent of the axes' full speeds.",
     "The arm first goes slowly from wherever it stands to the first configuration.",
     "Corners are rounded by C_PTP, at most $APO.CPTP percent of half a leg before them.",
-    "Check that $RED_VEL scales speeds at this controller: compare the time of the first seam.",
+    "Check that $RED_VEL scales speeds at this controller; if it is ignored, moves are up to ten times faster.",
 )
 
 
@@ -55,11 +55,23 @@ def krl_text(timed: TimedMotion, controller: ControllerData) -> str:
     check_name("krl: procedure name", name, NAME, RULE, KRL_WORDS | USED)
     tool = f"TOOL_DATA[{controller.tool}]" if controller.tool else "$NULLFRAME"
     lines = ["&ACCESS RVP", "&REL 1", f"DEF {name}()"]
-    outputs = bool(controller.rows_with_outputs)
-    for sentence in header(timed, *MORE, CHECK_AXES, *tcp_sentences(controller, "$TOOL"), outputs=outputs):
+    outputs, stated = bool(controller.rows_with_outputs), (*_speed_sentences(timed, controller), CHECK_AXES)
+    for sentence in header(timed, *MORE, *stated, *tcp_sentences(controller, "$TOOL", "ABC"), outputs=outputs):
         lines += [f"; {line}" for line in textwrap.wrap(comment(sentence), WIDTH)]
     lines += ["BAS(#INITMOV,0)", f"$TOOL={tool}", "$BASE=$NULLFRAME", *_moves(timed, controller), "$RED_VEL=100", "END"]
     return "\r\n".join(lines) + "\r\n"
+
+
+def _speed_sentences(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
+    """Yield a sentence with the full speeds to which percents refer, and one with the time of the first seam."""
+    if controller.speed is not None:
+        speeds = np.where(controller.slides, 1e3 * controller.speed, np.degrees(controller.speed))
+        units = "deg/s, of slides mm/s" if any(controller.slides) else "deg/s"
+        yield f"Full speeds of {', '.join(timed.joint_names)}: {', '.join(f'{each:.5g}' for each in speeds)} {units}."
+    if controller.seams:
+        first = controller.seams[0]
+        seconds = float(timed.time_s[first.last] - timed.time_s[first.first])
+        yield f"The first seam, {first.name}, takes {seconds:.2f} s at 100 % override."
 
 
 def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
@@ -69,6 +81,7 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
     corner = _corner_percents(timed)
     begins = {seam.first: seam.name for seam in controller.seams}
     last: tuple[int, int, int] = (0, 0, 0)  # values of $VEL_AXIS, $RED_VEL and $APO.CPTP
+    yield from _outputs(controller, BEGIN)
     for row in range(len(timed.x)):
         if sections[row]:
             yield f"; {sections[row]}"
@@ -84,8 +97,12 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
         yield f"PTP {_axes(timed.x[row], controller)}{'' if exact[row] else ' C_PTP'}"
         if row in begins:
             yield f"; seam {comment(begins[row])}"
-        for output, value in controller.outputs_after(row):
-            yield f"$OUT[{output_number('krl', output)}]={'TRUE' if value else 'FALSE'}"
+        yield from _outputs(controller, row)
+
+
+def _outputs(controller: ControllerData, row: int) -> Iterator[str]:
+    for output, value in controller.outputs_after(row):
+        yield f"$OUT[{output_number('krl', output)}]={'TRUE' if value else 'FALSE'}"
 
 
 def _percents(

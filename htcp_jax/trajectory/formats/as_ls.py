@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.controller_data import BEGIN, CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, check_robot, exact_rows, section_names, tcp_sentences
 from htcp_jax.trajectory.formats.names import check_name, comment, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
@@ -101,7 +101,7 @@ def _line(number: int, text: str) -> str:
 
 
 def _remarks(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
-    more = (*MORE, CHECK_AXES, J3[controller.j3_from], *tcp_sentences(controller, "UTOOL"))
+    more = (*MORE, CHECK_AXES, J3[controller.j3_from], *tcp_sentences(controller, "UTOOL", "RPW"))
     for sentence in header(timed, *more, outputs=bool(controller.rows_with_outputs)):
         yield from (_remark(line) for line in textwrap.wrap(comment(sentence).replace(";", ","), WIDTH))
 
@@ -114,6 +114,7 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
     exact, sections = exact_rows(timed, controller), section_names(timed)
     begins = {seam.first: seam.name for seam in controller.seams}
     seconds = np.append(0.0, np.diff(timed.time_s)).tolist()
+    yield from _outputs(controller, BEGIN)
     for row, duration_s in enumerate(seconds):
         if sections[row]:
             yield _remark(sections[row])
@@ -121,8 +122,12 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
         yield f"J P[{row + 1}] {speed} {'FINE' if exact[row] else f'CNT{CNT}'}"
         if row in begins:
             yield _remark(f"seam {begins[row]}")
-        for output, value in controller.outputs_after(row):
-            yield f"DO[{output_number('ls', output)}]={'ON' if value else 'OFF'}"
+        yield from _outputs(controller, row)
+
+
+def _outputs(controller: ControllerData, row: int) -> Iterator[str]:
+    for output, value in controller.outputs_after(row):
+        yield f"DO[{output_number('ls', output)}]={'ON' if value else 'OFF'}"
 
 
 def _time(duration_s: float, at_s: float) -> str:

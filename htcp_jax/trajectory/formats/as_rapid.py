@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.controller_data import BEGIN, CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.formats.axis_moves import ROBOT_AXES, at_rest, check_robot
 from htcp_jax.trajectory.formats.controller_limits import RAPID_LINES
 from htcp_jax.trajectory.formats.names import RAPID_WORDS, check_name
@@ -85,6 +85,7 @@ def _comments_and_moves(timed: TimedMotion, controller: ControllerData) -> tuple
         moves.append(f"MoveAbsJ {place}\\NoEOffs,v1000\\T:={max(seconds, LEAST_S):.6f},{zone},{tool};")
     for row in controller.rows_with_outputs:
         moves[row] = "\n    ".join([moves[row], *map(_set_output, controller.outputs_after(row))])
+    moves[0] = "\n    ".join([*map(_set_output, controller.outputs_after(BEGIN)), moves[0]])
     return about, moves
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.errors import InputError
-from htcp_jax.trajectory.controller_data import CHECK_AXES, ControllerData, header
+from htcp_jax.trajectory.controller_data import BEGIN, CHECK_AXES, ControllerData, header
 from htcp_jax.trajectory.formats.names import URSCRIPT_WORDS, check_name, output_number
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
@@ -46,6 +46,7 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
     about = header(timed, *MORE, outputs=bool(controller.rows_with_outputs))
     configurations = [", ".join(f"{value:.6f}" for value in row) for row in (np.round(timed.x, 6) + 0.0).tolist()]
     lines = [f"# {line}" for line in about] + [f"def {controller.name}():"]
+    lines += _output_lines(controller, BEGIN)
     lines.append(f"  movej([{configurations[0]}], {SLOW_RAD_S2}, {SLOW_RAD_S})")
     lines += _output_lines(controller, 0)
     for row, (configuration, seconds) in enumerate(zip(configurations[1:], hold_s.tolist(), strict=True), start=1):
@@ -55,8 +56,6 @@ def urscript_text(timed: TimedMotion, controller: ControllerData) -> str:
 
 
 def _output_lines(controller: ControllerData, row: int) -> list[str]:
-    if row not in controller.rows_with_outputs:
-        return []
     found = [(output_number("urscript", output), value) for output, value in controller.outputs_after(row)]
     if wrong := [number for number, _ in found if number >= OUTPUTS]:
         raise InputError(f"urscript: output {wrong[0]}; the standard digital outputs are 0 to {OUTPUTS - 1}")

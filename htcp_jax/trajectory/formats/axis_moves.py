@@ -2,12 +2,14 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from htcp_jax.errors import InputError
 from htcp_jax.trajectory.controller_data import ControllerData
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 ROBOT_AXES = 6
+ANGLES = "ABCWPR"  # order in which a controller lists its angles
 SLOWEST = 1e-9  # largest velocity at which the arm counts as at rest [rad/s or m/s]
 
 
@@ -51,16 +53,21 @@ def section_names(timed: TimedMotion) -> list[str]:
     return ["", *(name if k == 1 or name != names[k - 1] else "" for k, name in enumerate(names[1:], start=1))]
 
 
-def tcp_sentences(controller: ControllerData, tool: str) -> list[str]:
-    """Return a sentence with the position of the planned TCP, which a tool of the controller must have.
+def tcp_sentences(controller: ControllerData, tool: str, angles: str) -> list[str]:
+    """Return a sentence with the pose of the planned TCP, which a tool of the controller must have.
 
     Args:
         controller: The controller data; without its TCP there is no sentence.
         tool: The controller's name of its tool.
+        angles: The controller's names of the rotations about z, then the new y, then the new x.
     """
     if (tcp := controller.tcp) is None:
         return []
     x, y, z = (np.round(1e3 * tcp.T_frame_tcp[:3, 3], 3) + 0.0).tolist()
+    turns = Rotation.from_matrix(tcp.T_frame_tcp[:3, :3]).as_euler("ZYX", degrees=True)
+    named = dict(zip(angles, (np.round(turns, 3) + 0.0).tolist(), strict=True))
+    about = ", ".join(f"{name} {named[name]:.3f}" for name in sorted(angles, key=ANGLES.index))
     return [
-        f"The planned TCP is at X {x:.3f}, Y {y:.3f}, Z {z:.3f} mm in the frame of {tcp.frame}; {tool} must have it."
+        f"The planned TCP is at X {x:.3f}, Y {y:.3f}, Z {z:.3f} mm, {about} degrees in the frame of {tcp.frame}; "
+        f"{tool} must have it."
     ]
