@@ -15,6 +15,7 @@ from htcp_jax.system import files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 PAGE = Path(__file__).with_name("page.html")
 
@@ -59,10 +60,10 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Figure in a document; `name` is the stem of its file, `alt` its alternative text."""
+    """Figure or image in a document; `name` is the stem of its file, `alt` its alternative text."""
 
     name: str
-    figure: "Figure"
+    figure: "Figure | Image"
     alt: str
 
 
@@ -118,10 +119,13 @@ def write_csv(file: Path, table: Table) -> None:
     files.write_atomically(file.parent, file.name, stream.getvalue().encode())
 
 
-def png(figure: "Figure") -> bytes:
-    """Return the figure as the bytes of a PNG file."""
+def png(figure: "Figure | Image") -> bytes:
+    """Return a figure or an image as the bytes of a PNG file."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
+    if hasattr(figure, "savefig"):
+        figure.savefig(stream, format="png", metadata={"Software": None})
+    else:
+        figure.save(stream, format="png", optimize=True)
     return stream.getvalue()
 
 

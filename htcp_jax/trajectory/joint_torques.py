@@ -32,6 +32,7 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81
 AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
+ALIKE = 3  # least number of links with one mass that counts as a placeholder
 TORQUES_EVERY_S = 0.01  # time step between samples
 # On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
 PLAIN = {"xla_cpu_use_fusion_emitters": False}
@@ -69,6 +70,15 @@ def model_of(arm: config.RobotConfig, tree: model_source.ComposedModel | None = 
     model.opt.gravity = tool.pose(tool.ZERO, turned)[:3, :3].T @ [0, 0, -GRAVITY_M_S2]
     model.opt.disableflags |= int(_OFF)
     return model
+
+
+def equal_mass(model: mujoco.MjModel) -> float | None:
+    """Return the mass of the links if three or more have the same, as converters write for unknown ones [kg].
+
+    None if masses differ, or if there are fewer links.
+    """
+    masses = model.body_mass[model.body_mass > 0]
+    return float(masses[0]) if len(masses) >= ALIKE and (masses == masses[0]).all() else None
 
 
 def torques(

@@ -32,7 +32,14 @@ from htcp_jax.trajectory.exact_corners import with_exact_corners
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
-from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
+from htcp_jax.trajectory.joint_torques import (
+    TORQUES_EVERY_S,
+    PeakTorque,
+    equal_mass,
+    model_of,
+    peak_torque,
+    torques,
+)
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits
 from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.near_part import near_part_speeds
@@ -147,6 +154,12 @@ class PlanProgram(NamedTuple):
             timed.x, timed.velocity, timed.acceleration
         )
         return peak_torque(timed, torque, np.asarray(self.robot.effort))
+
+    @property
+    def equal_mass_kg(self) -> float | None:
+        """Mass of every link in the arm's model, if all are equal, see `equal_mass`; None: they differ."""
+        model = model_of(self.job.robot, self.job.tree)
+        return None if model is None else equal_mass(model)
 
     def controller(self, format: str, name: str, timed: TimedMotion) -> ControllerData:
         """Return the job's controller data for a format.

@@ -119,7 +119,7 @@ def draw_plan(
         _mark_dwells(axes, view.flat(moved(plans.target[row], T)), motion)
     colliding_body = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])
-    _draw_clearance(below, plans, row, scenario)
+    draw_clearance(below, plans, row, scenario)
     seam_marks.draw_begins(below, plans, seams)
     _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
     below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
@@ -420,8 +420,15 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=11, loc="left", y=1.0)  # without y, matplotlib measures all ticks twice
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
-    """Draw the clearance over the target index, on a logarithmic scale to resolve small values."""
+def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
+    """Draw the clearance over the target index, on a logarithmic scale to resolve small values.
+
+    Args:
+        axes: The axes.
+        plans: The plans.
+        row: Row of the plan.
+        scenario: The scenario.
+    """
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
     line = seam_marks.without_air_moves(clearance_mm, plans)
