@@ -13,6 +13,7 @@ from jaxtyping import Float
 from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
+from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles_at, with_own_tool
 from htcp_jax.model import robot as robots

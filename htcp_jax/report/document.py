@@ -168,9 +168,11 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
 
 def _html_table(table: Table) -> str:
     kinds = [" ".join(("number" if c.format else "", "quiet" if c.quiet else "")).strip() for c in table.columns]
+    has_units = any(c.unit for c in table.columns)
+    below = [f"<br><small>{escape(c.unit) or '&nbsp;'}</small>" if has_units else "" for c in table.columns]
     heads = [
-        f'<th class="{kind}">{escape(c.heading)}<br><small>{escape(c.unit) or "&nbsp;"}</small></th>'
-        for c, kind in zip(table.columns, kinds, strict=True)
+        f'<th class="{kind}">{escape(c.heading)}{unit}</th>'
+        for c, kind, unit in zip(table.columns, kinds, below, strict=True)
     ]
     rows = [
         "".join(f'<td class="{kind}">{escape(text)}</td>' for text, kind in zip(line, kinds, strict=True))

@@ -9,6 +9,7 @@ import numpy as np
 from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.model import Robot, Workpiece
+from htcp_jax.model import robot as robots
 from htcp_jax.report import program_facts
 from htcp_jax.runs import plan_folder
 from htcp_jax.spec import PlanConfig
@@ -36,8 +37,8 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
         "margin": f"{1e3 * job.margin_m:g} mm, at the targets {between}",
         **seams,
         "margin before the path": f"{1e3 * job.transfer_margin_m:g} mm where possible",
-        "tolerance": f"TCP {1e3 * settings.tolerance_m:g} mm at a target, {1e3 * settings.tube_m:g} mm between targets; "
-        f"angles {np.degrees(settings.tolerance_rad):.3g} deg",
+        "tolerance": f"TCP {1e3 * settings.tolerance_m:g} mm at a target, {1e3 * settings.tube_m:g} mm between "
+        f"targets; angles {np.degrees(settings.tolerance_rad):.3g} deg",
         "task": "; ".join(map(_row, job.task)) or "the TCP follows the path",
         "arm": f"{robot.name}, from {getattr(arm, 'name', arm)}",
         "tool": f"{tip}, longer by {1e3 * job.robot.tool_extension_m:g} mm",
@@ -74,10 +75,10 @@ def not_checked(
         **known,
         "arm against itself": _own_pairs(robot, obstacles),
         **({"surroundings": others} if others else {}),
-        "process": "whether the weld, cut or coat is good; heat, spatter, distortion, and the wire or jet from the tool",
+        "process": "whether the weld, cut or coat is good; heat, spatter, distortion, the wire or jet from the tool",
         "cables": "hoses and cables are not in the model, unless they are bodies of the arm or the tool",
-        "place of the part": "the part, the tool and the arm are where the job says. The guaranteed clearance is what is "
-        "left for errors",
+        "place of the part": "the part, the tool and the arm are where the job says. The guaranteed clearance is "
+        "what is left for errors",
         "torque": torque,
         "controller": "how the controller interpolates, rounds corners, and follows; htcp program proves the motion of "
         "the file it writes",
@@ -93,11 +94,20 @@ def _own_pairs(robot: Robot, obstacles: Obstacles) -> str:
     if own is None:
         return "no pair of bodies is checked: cell.self_collision is false, or there is no pair"
     left = [each for each in own.excluded if each.rule in NAMED]
-    names = [f"{robot.capsule_names[each.first]} and {robot.capsule_names[each.second]}" for each in left]
-    if not names:
+    of_tool = [each for each in left if {each.first, each.second} & {*robot.mounted}]
+    parts = [
+        f"{what}: {', '.join(_pairs(robot, pairs))}"
+        for what, pairs in (("of the tool and the arm", of_tool), ("of the arm", [p for p in left if p not in of_tool]))
+        if pairs
+    ]
+    if not parts:
         return "every pair of bodies that can collide is checked"
-    named = names if len(names) <= MOST_PAIRS else [*names[:MOST_PAIRS], f"{len(names) - MOST_PAIRS} more"]
-    return f"these pairs overlap in nearly every configuration, so they are not checked: {', '.join(named)}"
+    return f"not checked, as they overlap in nearly every configuration: pairs {'; '.join(parts)}"
+
+
+def _pairs(robot: Robot, pairs: list[robots.Exclusion]) -> list[str]:
+    names = [f"{robot.capsule_names[each.first]} and {robot.capsule_names[each.second]}" for each in pairs]
+    return names if len(names) <= MOST_PAIRS else [*names[:MOST_PAIRS], f"{len(names) - MOST_PAIRS} more"]
 
 
 def _row(row: object) -> str:

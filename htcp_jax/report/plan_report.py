@@ -153,7 +153,7 @@ def _assumed(plan: ReportedPlan, made: PlanProgram | None) -> list[Block]:
     known = plan_notes.assumptions(plan.job, plan.robot, plan.workpiece, plan.workpiece_place)
     if made is not None:
         feeds = ", ".join(f"{1e3 * feed:g} mm/s on {name}" for name, feed in made.seam_feeds.items())
-        known["feed"] = feeds or f"{1e3 * made.program.feed_m_s:g} mm/s"
+        known["required feed"] = feeds or f"{1e3 * made.program.feed_m_s:g} mm/s"
     x = motion.motion(plan.plans, 0, int(plan.scenario.on_path)).x
     blocks: list[Block] = [fact_table("assumed", known, "assumption")]
     if not len(x):

@@ -34,7 +34,7 @@ def phase_table(made: PlanProgram, names: Sequence[str]) -> Table:
     seam = np.searchsorted(made.seam_begins, target, "right")
     begins, lasts = dict[str, float](), dict[str, float]()
     for k, seconds in enumerate(np.diff(time).tolist()):
-        phase = _phase(Kind(kind[k]), int(target[k]), names[seam[k]])
+        phase = _phase(Kind(kind[k]), int(target[k]), f"{'seam ' if len(names) > 1 else ''}{names[seam[k]]}")
         begins.setdefault(phase, float(time[k]))
         lasts[phase] = lasts.get(phase, 0.0) + seconds
     whole = made.program.duration_s
@@ -48,7 +48,7 @@ def _phase(kind: Kind, target: int, seam: str) -> str:
         return f"air move to {seam}" if target else "transfer to the first configuration"
     if kind == Kind.DWELL:
         return f"dwells on {seam}"
-    return f"seam {seam}" if kind == Kind.PROCESS else kind.words
+    return seam if kind == Kind.PROCESS else kind.words
 
 
 def angle_table(

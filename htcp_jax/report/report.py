@@ -38,7 +38,8 @@ class Report(NamedTuple):
     @property
     def figures(self) -> "dict[str, Figure]":
         """Charts of the report, by the stems of their file names."""
-        return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
+        pictures = [block for block in self.blocks if isinstance(block, Picture)]
+        return {each.name: each.figure for each in pictures if hasattr(each.figure, "savefig")}
 
     def frame(self, table: str = "results") -> "pandas.DataFrame":
         """Return one of the report's tables as a pandas frame, with the column names of its CSV file.

@@ -32,7 +32,7 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81
 AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
-ALIKE = 3  # least number of links with one mass that counts as a placeholder
+ALIKE, LIGHT_KG = 3, 1e-6  # least number of links with one mass that counts as a placeholder; lighter: frames
 TORQUES_EVERY_S = 0.01  # time step between samples
 # On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
 PLAIN = {"xla_cpu_use_fusion_emitters": False}
@@ -77,7 +77,7 @@ def equal_mass(model: mujoco.MjModel) -> float | None:
 
     None if masses differ, or if there are fewer links.
     """
-    masses = model.body_mass[model.body_mass > 0]
+    masses = model.body_mass[model.body_mass > LIGHT_KG]
     return float(masses[0]) if len(masses) >= ALIKE and (masses == masses[0]).all() else None
 
 

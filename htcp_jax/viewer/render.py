@@ -267,6 +267,7 @@ def _add_surroundings(
     visual.quality.shadowsize, visual.quality.offsamples = (8192, 8) if fine else (2048, 4)
     visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (20, 10)
     visual.map.znear, visual.rgba.haze = 0.01, [*SKY, 1]
+    visual.map.shadowclip = 2  # the floor next to the arm is within the range of shadows, too
     reach = np.ptp(np.concatenate([cloud, arms.p.reshape(-1, 3)]), axis=0)
     spec.stat.extent, spec.stat.center = np.linalg.norm(reach), cloud.mean(axis=0)
 

@@ -35,8 +35,11 @@ class AlongPlan(NamedTuple):
 def along_plan(shown: AlongPlan) -> Figure:
     """Draw the clearance, the angles of the tool and the speed of the TCP over the targets."""
     count = 1 + (shown.angles is not None) + (shown.program is not None)
-    note = "Over the targets, which are the points of the path. Thin vertical lines: where seams begin."
-    figure = new_figure(PANEL * count + 0.6, "Along the path", note if shown.plans.seam_begins else note[:54])
+    drawn = ["clearance", *(["angles"] if shown.angles is not None else []), *(["speed"] if shown.program else [])]
+    title = " and ".join(filter(None, (", ".join(drawn[:-1]), drawn[-1]))).capitalize()
+    note = "Over the targets, which are the points of the path."
+    note += " Thin vertical lines: where seams begin." if shown.plans.seam_begins else ""
+    figure = new_figure(PANEL * count + 0.6, title, note)
     panels = list(figure.subplots(count, 1, squeeze=False)[:, 0])
     draw_clearance(panels[0], shown.plans, 0, shown.scenario)
     seam_marks.draw_begins(panels[0], shown.plans, shown.seams)
