@@ -356,7 +356,7 @@ class Plan:
         )
 
     def figure(self) -> "Figure":
-        """Draw the arm in the workpiece, cut open, and the clearance along the path."""
+        """Draw the arm in the workpiece, and the clearance along the path."""
         from htcp_jax.viewer import draw_plan, glyphs  # here, as matplotlib takes half a second to import
 
         return draw_plan(
