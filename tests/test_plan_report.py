@@ -74,7 +74,7 @@ def test_the_phases_fill_the_cycle(planned, tmp_path, screenless, capsys):
 
 def test_the_page_stands_alone_with_pictures_from_two_sides(reported, planned):
     page = (reported / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 3 and {"side-1.png", "side-2.png", "along-path.png"} <= {
+    assert page.count("data:image/png;base64,") == 5 and {"arm-1.png", "close-2.png", "along-path.png"} <= {
         file.name for file in reported.iterdir()
     }
     assert not re.search(r"<script|src=\"(?!data:)|href=|url\(|@import", page) and str(planned) not in page

@@ -60,11 +60,15 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Figure or image in a document; `name` is the stem of its file, `alt` its alternative text."""
+    """Figure or image in a document; `name` is the stem of its file, `alt` its alternative text.
+
+    With `half` it takes half of the page's width, next to another one; on a narrow screen all of it.
+    """
 
     name: str
     figure: "Figure | Image"
     alt: str
+    half: bool = False
 
 
 class Heading(NamedTuple):
@@ -135,7 +139,7 @@ def _markdown(block: Block) -> str:
             return f"{'#' * level} {text}"
         case Table():
             return _markdown_table(block)
-        case Picture(name, _, alt):
+        case Picture(name, _, alt, _):
             return f"![{alt}]({name}.png)"
     return block
 
@@ -160,9 +164,9 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
             return f"<h{level}>{escape(text)}</h{level}>"
         case Table():
             return _html_table(block)
-        case Picture(name, _, alt):
-            data = base64.b64encode(pictures[name]).decode()
-            return f'<div class="picture"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
+        case Picture(name, _, alt, half):
+            data, kind = base64.b64encode(pictures[name]).decode(), "half" if half else "picture"
+            return f'<div class="{kind}"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
     return f"<p>{escape(block)}</p>"
 
 

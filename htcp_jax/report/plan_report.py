@@ -109,7 +109,7 @@ def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
     replay = replays_of(name, plan).replay(0, plan.job.method)
     at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
     try:
-        pictures = [_side(replay, side, at) for side in (0, 1)]
+        pictures = [each for side in (0, 1) for each in _side(replay, side, at)]
     except InputError as error:
         return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
     cut = " The half of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
@@ -117,13 +117,15 @@ def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
     return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
 
 
-def _side(replay: Replay, side: int, at: int) -> Picture:
-    """Return pictures of the whole arm and of the workpiece close up, next to each other."""
-    both = Image.new("RGB", (2 * SIZE[0], SIZE[1]))
-    for k, close in enumerate((False, True)):
+def _side(replay: Replay, side: int, at: int) -> list[Picture]:
+    """Return pictures of the whole arm and of the workpiece close up, which are next to each other."""
+    pictures = []
+    for name, close in (("arm", False), ("close", True)):
         with Studio(replay, *SIZE, close=close, side=side) as studio:
-            both.paste(Image.fromarray(studio.still(at)), (k * SIZE[0], 0))
-    return Picture(f"side-{side + 1}", both, f"The arm at target {at} from side {side + 1}, and the workpiece close up")
+            image = Image.fromarray(studio.still(at))
+        what = "The workpiece close up" if close else "The arm"
+        pictures.append(Picture(f"{name}-{side + 1}", image, f"{what} at target {at}, from side {side + 1}", half=True))
+    return pictures
 
 
 def _along(plan: ReportedPlan, made: PlanProgram | None, names: list[str]) -> list[Block]:
