@@ -79,10 +79,8 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     blocks += [Heading(2, "What was assumed"), *_assumed(plan, made)]
     unchecked = plan_notes.not_checked(plan.job, plan.robot, plan.obstacles, made, facts, folder)
     blocks += [Heading(2, "What is not checked"), fact_table("not_checked", unchecked, "not checked")]
-    blocks += [
-        Heading(2, "All results"),
-        fact_table("results", {k: v for k, v in facts.items() if k != "planning time"}),
-    ]
+    others = {key: text for key, text in facts.items() if key not in glance and key != "planning time"}
+    blocks += [Heading(2, "Other results"), fact_table("results", others)]
     blocks += [Heading(2, "What was run"), *_what_was_run(made_by)]
     return Report((), (), tuple(blocks), tuple(block for block in blocks if isinstance(block, Table)))
 
@@ -134,7 +132,7 @@ def _along(plan: ReportedPlan, made: PlanProgram | None, names: list[str]) -> li
     blocks: list[Block] = [Picture("along-path", along_plan(shown), "Clearance, angles and speed over the targets")]
     if angles is not None:
         blocks.append(plan_tables.angle_table(*angles, names))
-    return blocks if plan.order is None else [*blocks, plan_tables.seam_table(plan.order)]
+    return blocks if plan.order is None else [*blocks, plan_tables.seam_table(plan.order, made)]
 
 
 def _timing(plan: ReportedPlan, made: PlanProgram, found: ProgramFigures, names: list[str]) -> list[Block]:

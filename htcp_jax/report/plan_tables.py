@@ -73,8 +73,17 @@ def angle_table(
     return Table("angles", shown, tuple(made))
 
 
-def seam_table(order: SeamOrder) -> Table:
-    """Return the table of the seams in their order of work."""
+def seam_table(order: SeamOrder, made: PlanProgram | None) -> Table:
+    """Return the table of the seams in their order of work.
+
+    Args:
+        order: The order.
+        made: The robot program; None: the feed is the job's.
+    """
+    feeds = {each.name: each.feed or "-" for each in order.visits}
+    if made is not None:
+        whole = made.program.feed_m_s
+        feeds = {name: f"{1e3 * made.seam_feeds.get(name, whole):g} mm/s" for name in feeds}
     rows = [
         (
             each.name,
@@ -83,7 +92,7 @@ def seam_table(order: SeamOrder) -> Table:
             each.last,
             1e3 * each.clearance_m,
             1e3 * each.margin_m,
-            each.feed or "-",
+            feeds[each.name],
         )
         for each in order.visits
     ]
