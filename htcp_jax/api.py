@@ -13,6 +13,7 @@ from jaxtyping import Float
 from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
+from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles_at, with_own_tool
 from htcp_jax.model import robot as robots
@@ -237,19 +238,19 @@ class Plan:
     @cached_property
     def tool_angles(self) -> Float[np.ndarray, "T 3"] | None:
         """Work angle, travel angle and spin at each target [degrees]; None if the task has no row with tool angles."""
-        if not self._tool_axis_rows:
+        if not self.tool_axis_rows:
             return None
         found = np.full((self.plans.status.shape[1], 3), np.nan)
         known = self.robot, self.workpiece, self.plans.x[0]
         with devices.on(devices.choose(self.device)[0]):
-            rows = {row for _, row in self._tool_axis_rows}
+            rows = {row for _, row in self.tool_axis_rows}
             by_row = {row: tool_angles_at(self.scenario, row, *known) for row in rows}
-        for first, row in self._tool_axis_rows:
+        for first, row in self.tool_axis_rows:
             found[first:] = by_row[row][first:]
         return found
 
     @property
-    def _tool_axis_rows(self) -> list[tuple[int, ToolAxisRow]]:
+    def tool_axis_rows(self) -> list[tuple[int, ToolAxisRow]]:
         """First target of each seam, and the row with the tool's angles; empty if the task has no such row."""
         tasks = [seam.task or self.job.task for seam in self.job.workpiece.seams] or [self.job.task]
         rows = zip((0, *self.plans.seam_begins), map(tool_axis_row, tasks), strict=True)
@@ -384,7 +385,7 @@ class Plan:
         )
 
     def figure(self) -> "Figure":
-        """Draw the arm in the workpiece, cut open, and the clearance along the path."""
+        """Draw the arm in the workpiece, and the clearance along the path."""
         from htcp_jax.viewer import draw_plan, glyphs  # here, as matplotlib takes half a second to import
 
         return draw_plan(
@@ -396,7 +397,7 @@ class Plan:
             obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
             normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
-            angles=None if self.tool_angles is None else (self._tool_axis_rows, self.tool_angles),
+            angles=None if self.tool_angles is None else (self.tool_axis_rows, self.tool_angles),
             seams=() if self.order is None else [seam.name for seam in self.job.workpiece.seams],
         )
 
@@ -467,6 +468,22 @@ class Plan:
 
     def _repr_html_(self) -> str:
         return html_facts(str(self), self.facts() | self.failure())
+
+
+def open_plan(folder: str | Path) -> Plan:
+    """Open the plan in a folder of `htcp plan`, with its scene. Its times are 0, as they are not saved with it.
+
+    Raises:
+        InputError: If the folder contains no plan of one job, if a file is damaged, or if a cloud, path or model has
+            changed since planning.
+    """
+    found = runs.open_plans(folder)
+    if not isinstance(found, runs.open.FolderPlan):
+        raise InputError(f"{folder} contains a run, not one plan of htcp plan")
+    job, robot, workpiece, scenario = jobs.build.resolved_scene(found.config, str(folder))
+    robot, scenario = with_own_tool(robot, scenario)
+    obstacles, plans = jobs.build.obstacles_of(job.cell, robot), found.plans(job.method)
+    return Plan(job, robot, workpiece, scenario, plans, obstacles, order=found.order)
 
 
 def forget_validation(folder: Path) -> None:

@@ -71,7 +71,7 @@ def test_seams_are_comments_and_outputs_are_set_at_both_ends_after_an_exact_stop
     short = [line for line in lines if line.startswith(("J P", "DO", "!seam", "!process", "!air"))]
     rib = ["!air move", "J P CNT100", "J P FINE", "!seam rib, of ?", "DO=ON", "!process", "J P CNT100", "J P FINE"]
     boss = ["!air move", "J P FINE", "!seam boss", "DO=ON", "!process", "J P CNT100", "J P FINE"]
-    assert short == ["J P 5% FINE", *rib, "DO=OFF", "DO=ON", *boss, "DO=OFF", "DO=ON"]
+    assert short == ["DO=OFF", "DO=ON", "J P 5% FINE", *rib, "DO=OFF", "DO=ON", *boss, "DO=OFF", "DO=ON"]
 
 
 def program(*lines: str, positions: str | None = None) -> str:

@@ -164,7 +164,8 @@ SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min
 def test_every_sphere_is_seen_whole_and_one_touches_the_edge(spheres, azimuth, aspect):
     fovy = np.radians(40.0)
     spheres = np.array(spheres)
-    eye, look_at = nearest_camera(spheres[:, :3], spheres[:, 3], azimuth, fovy, aspect)
+    given_ahead = np.array([np.cos(azimuth), np.sin(azimuth), -0.5]) / np.hypot(1, 0.5)
+    eye, look_at = nearest_camera(spheres[:, :3], spheres[:, 3], given_ahead, fovy, aspect)
     ahead = (look_at - eye) / np.linalg.norm(look_at - eye)
     right = np.cross(ahead, [0, 0, 1]) / np.linalg.norm(np.cross(ahead, [0, 0, 1]))
     seen = (spheres[:, :3] - eye) @ np.stack([right, np.cross(right, ahead), ahead], axis=1)

@@ -6,11 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.viewer.viewpoints import (
+    ABOVE_RAD,
     ASIDE_RAD,
     ShownBodies,
-    camera_view,
+    ShownScene,
+    Viewpoint,
+    best_views,
+    camera_views,
     flat_side,
-    hidden,
+    hidden_targets,
+    shadowed,
     towards_camera,
     view_from_side,
 )
@@ -35,43 +40,99 @@ def test_the_near_half_is_the_one_without_the_path(side):
     np.testing.assert_allclose(np.cross(view.right, view.up), view.near, atol=1e-12)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_of_a_lone_arm_far_away_the_square_side_without_the_path_is_taken(side):
+def test_of_a_lone_arm_far_away_the_square_side_is_taken():
+    """The part lies below the path and hides nothing, so it stays whole."""
     cloud = np.random.default_rng(0).uniform(-1, 1, (400, 3)) * [1, 1, 0]
-    targets = np.array([[-2, 0, 0], [0.9, 0.5 * side, 0]])
+    targets = np.array([[-0.9, 0, 0.5], [0.9, 0.5, 0.5]])
     away = ShownBodies(np.full((1, 2, 3), 9.0), np.full((1, 2, 3), 9.0), np.full(2, 0.1), np.array([False, True]))
-    np.testing.assert_allclose(flat_side(cloud, targets, away).near, view_from_side(cloud, targets).near)
+    chosen = flat_side(ShownScene(cloud, targets, away))
+    np.testing.assert_allclose(chosen.view.near, view_from_side(cloud, targets).near)
+    assert not chosen.cut
 
 
 def test_an_arm_that_stands_before_the_square_side_is_looked_at_from_another():
     """Viewpoint if the arm covers the square view: another side (regression: the arm hid the part)."""
+    scene = ShownScene(WALL, PATH, arm(), triangles=np.full((1, 3, 3), 9.0))
     square = view_from_side(WALL, PATH)
-    before = [hidden(WALL[:0], 0.0, PATH, arm(), towards_camera(square, aside, 0.28)) for aside in ASIDE_RAD]
-    chosen = camera_view(WALL, PATH, arm())
+    before = [hidden_targets(scene, Viewpoint(square, aside, ABOVE_RAD[0], False)).mean() for aside in ASIDE_RAD]
     assert square.near[0] < -0.9 and min(before) > 0.25  # from the robot's own side, the link hides the path
-    assert hidden(WALL[:0], 0.0, PATH, arm(), towards_camera(*chosen, 0.28)) < 0.1
+    for chosen in camera_views([scene]):
+        assert hidden_targets(scene, chosen).mean() < 0.1  # the tool hides the target that it touches
+
+
+def box(sides: str) -> np.ndarray:
+    """Sides of the unit cube around the path, as triangles: -x, +x, -y, +y, -z or +z."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    found = []
+    for sign, axis in zip(sides[::2], sides[1::2], strict=True):
+        k, square = "xyz".index(axis), np.empty((4, 3))
+        square[:, [(k + 1) % 3, (k + 2) % 3]], square[:, k] = corners, 1 if sign == "+" else -1
+        found += [square[[0, 1, 2]], square[[0, 2, 3]]]
+    return 0.5 * np.array(found) + [1.3, 0, 0.3]
+
+
+def test_the_chosen_sides_hide_hardly_a_target_where_the_worst_hides_all():
+    mesh = box("+x-x-y+y+z-z")
+    scene = ShownScene(mesh.reshape(-1, 3), PATH, arm(), mesh)
+    every = best_views([scene], ASIDE_RAD, ABOVE_RAD, (False, True))
+    counts = [int(hidden_targets(scene, each).sum()) for each in every]
+    chosen = camera_views([scene])
+    assert all(each.cut for each in chosen)  # a closed box is cut open
+    np.testing.assert_array_equal(chosen[0].toward, every[0].toward)
+    shown = [int(hidden_targets(scene, each).sum()) for each in chosen]
+    assert max(shown) < 0.1 * len(PATH) and max(counts) == len(PATH)
+    assert chosen[0].toward[:2] @ chosen[1].toward[:2] < np.cos(np.radians(59)) * np.prod(
+        [np.linalg.norm(each.toward[:2]) for each in chosen]
+    )
+
+
+def test_a_part_with_one_open_side_is_seen_from_there_and_stays_whole():
+    mesh = box("-x-y+y-z+z")
+    scene = ShownScene(mesh.reshape(-1, 3), PATH, arm(0.001), mesh)
+    chosen = camera_views([scene])[0]
+    assert not chosen.cut and chosen.toward[0] > 0.6 and hidden_targets(scene, chosen).mean() < 0.1
 
 
 @given(st.floats(-3, 3), st.floats(0.01, 0.3))
 def test_a_ball_hides_what_is_right_behind_it_and_nothing_else(aside, radius):
     ball = ShownBodies(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.array([radius, radius]), np.array([False, False]))
-    toward = towards_camera(view_from_side(WALL, PATH), aside, 0.2)
-    across = np.cross(toward, [0, 0, 1.0])
-    points = np.stack([-toward, -toward + 2 * radius * across, toward])
-    assert hidden(WALL[:0], 0.0, points[:1], ball, toward) == 1
-    assert hidden(WALL[:0], 0.0, points[1:], ball, toward) == 0
+    at = Viewpoint(view_from_side(WALL, PATH), aside, 0.2, False)
+    across = np.cross(at.toward, [0, 0, 1.0])
+    points = np.stack([-at.toward, -at.toward + 2 * radius * across, at.toward])
+    scene = ShownScene(np.full((4, 3), 9.0), points, ball, np.full((1, 3, 3), 9.0))
+    np.testing.assert_array_equal(hidden_targets(scene, at), [[True, False, False]])
 
 
 def test_the_cloud_hides_what_is_behind_it_and_not_what_lies_on_it():
-    toward = np.array([1.0, 0, 0])
     y, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
     plate = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1)
     none = ShownBodies(np.full((1, 1, 3), 9.0), np.full((1, 1, 3), 9.0), np.zeros(1), np.zeros(1, bool))
-    for x, share in ((-0.5, 1.0), (0.0, 0.0), (0.5, 0.0)):
-        assert hidden(plate, 0.075, np.array([[x, 0.01, 0.02]]), none, toward) == share
+    view = view_from_side(plate, np.array([[-1, -1, 0], [-1, 1.0, 0]]))
+    path = np.array([[-0.5, 0.01, 0.02], [0.0, 0.01, 0.02], [0.5, 0.01, 0.02]])
+    np.testing.assert_allclose(view.near, [1, 0, 0], atol=1e-12)
+    for cut, shares in ((False, [True, False, False]), (True, [True, False, False])):
+        found = hidden_targets(ShownScene(plate, path, none), Viewpoint(view, 0.0, 0.0, cut))
+        np.testing.assert_array_equal(found, [shares])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_ray_meets_the_triangles_that_its_equations_say(seed):
+    rng = np.random.default_rng(seed)
+    triangles, points = rng.uniform(-1, 1, (6, 3, 3)), rng.uniform(-1, 1, (5, 3))
+    toward = towards_camera(view_from_side(WALL, PATH), *rng.uniform(-1, 1, 2))
+    expected = []
+    for point in points:
+        edges = np.stack([triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]], axis=2)
+        solved = np.linalg.solve(
+            np.concatenate([edges, np.tile(-toward, (6, 1))[..., None]], 2), (point - triangles[:, 0])[..., None]
+        )
+        u, v, along = solved[..., 0].T
+        expected.append(bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (along > 0.005)).any()))
+    np.testing.assert_array_equal(shadowed(points, triangles, toward), expected)
 
 
 def test_the_same_plan_is_always_looked_at_from_the_same_side():
-    first, second = (camera_view(WALL.copy(), PATH.copy(), arm()) for _ in range(2))
-    np.testing.assert_array_equal(first.view.near, second.view.near)
-    assert first.aside_rad == second.aside_rad
+    first, second = (camera_views([ShownScene(WALL.copy(), PATH.copy(), arm())]) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.toward, other.toward)
+        assert one[1:] == other[1:]

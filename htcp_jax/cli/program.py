@@ -30,8 +30,8 @@ from htcp_jax.errors import InputError, Note
 from htcp_jax.io.robots import JointLimits, read_joint_limits
 from htcp_jax.jobs import build
 from htcp_jax.proving import ProgramProof, prove_with_exact_corners
-from htcp_jax.report import Table
-from htcp_jax.runs import columns, open_plans, open_run, plan_folder, timing_file
+from htcp_jax.report import program_facts
+from htcp_jax.runs import open_plans, open_run, plan_folder, timing_file
 from htcp_jax.spec import PlanConfig
 from htcp_jax.spec import feed as feed_rates
 from htcp_jax.trajectory import (
@@ -56,7 +56,6 @@ from htcp_jax.trajectory import (
 from htcp_jax.validation import check_timed
 
 REFUTED, OVERLOADED, UNDECIDED = 1, 3, 4  # exit codes
-STOP = "stop"  # reason for a feed drop to 0: the arm stops
 CHECKED = (
     "{refuted} of {configurations:,} configurations refuted; minimum clearance {clearance_min_mm:.3g} mm, "
     "maximum path deviation {off_max_mm:.3g} mm"
@@ -182,13 +181,15 @@ def program(
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
+    facts = program_facts.near_part(made.job)
+    facts["torque"] = program_facts.torque_text(torque)
     paths = write_files(out, files)
     note_limits(format, len(file.timed.x), len(files) - 1)
     checked = _check_motion(run, made, scenario, file if is_chosen else None) if check else {}
     if overloaded := torque is not None and torque.share > 1:
-        warnings.warn(f"torque is {_torque(torque)}; pass --allow-effort to accept it", stacklevel=1)
+        warnings.warn(f"torque is {facts['torque']}; pass --allow-effort to accept it", stacklevel=1)
     manipulability = made.manipulability if found.drops else np.zeros(0)
-    written = _Written(found, manipulability, torque, checked, _near_part(made.job), paths, proof, made.seam_feeds)
+    written = _Written(found, manipulability, torque, checked, facts, paths, proof, made.seam_feeds)
     if proof.is_undecided:
         warnings.warn(refusal(proof), stacklevel=1)
     if as_json:
@@ -210,7 +211,7 @@ class _Written(NamedTuple):
     manipulability: Float[np.ndarray, "T"]  # at all targets; empty if the feed never drops
     torque: PeakTorque | None
     checked: dict[str, int | float]  # result of --check; empty without it
-    near_part: dict[str, str]  # a fact about the speed near the part; empty at full speed
+    facts: dict[str, str]  # the torque, and the speed near the part if it is not full speed
     paths: dict[Path, range]  # the files, the main one first, with the rows of their configurations
     proof: ProgramProof
     seam_feeds: Mapping[str, float]  # feed rate of each seam [m/s]; empty if all are equal
@@ -220,7 +221,10 @@ def _print_record(written: _Written, deviation: dict) -> None:
     """Print a program's figures, its largest torque, its file's deviation, the result of --check and files as JSON."""
     found, manipulability, torque, checked, _, paths, proof, seam_feeds = written
     record = {key: value for key, value in found._asdict().items() if key != "drops"}
-    record |= {"feed_drops": _drop_table(found, manipulability).records(), "shares": _share_record(found.shares)}
+    record |= {
+        "feed_drops": program_facts.drop_table(found, manipulability).records(),
+        "shares": _share_record(found.shares),
+    }
     record |= {"path_shares": _share_record(found.path_shares), "peak_torque": torque and torque._asdict()}
     record["seam_feeds_m_s"] = dict(seam_feeds)
     parts = [{"file": str(path), "first": rows.start, "configurations": len(rows)} for path, rows in paths.items()]
@@ -230,20 +234,22 @@ def _print_record(written: _Written, deviation: dict) -> None:
 
 def _print_written(title: str, written: _Written, deviation: dict[str, str]) -> None:
     """Print what `_print_record` prints as a table of facts, and a table of the feed drops."""
-    found, manipulability, torque, checked, near_part, paths, proof, seam_feeds = written
+    found, manipulability, _, checked, facts, paths, proof, seam_feeds = written
     by_mujoco = {"by MuJoCo": CHECKED.format(**checked)} if checked else {}
     files = {"file": str(next(iter(paths))), **part_facts(paths)}
     checks = {**deviation, **proof_facts(proof), **by_mujoco}
-    print_facts(title, {**_program_facts(found, seam_feeds), **near_part, "torque": _torque(torque), **checks, **files})
+    print_facts(title, {**program_facts.facts_of(found, seam_feeds), **facts, **checks, **files})
     if not found.drops:
         return
     stdout().print()
-    print_table(stdout(), _drop_table(found, manipulability))
+    print_table(stdout(), program_facts.drop_table(found, manipulability))
     if not np.isnan(manipulability).all():
         middle = f"its median on the path is {np.nanmedian(manipulability):.3f} m/rad"
         stdout().print(Text(f"manipulability: the minimum there; {middle}.", style="dim"))
-    if any(drop.reason == STOP for drop in found.drops):
-        stdout().print(Text(f"{STOP}: the arm starts or stops there, as at both ends of the path.", style="dim"))
+    if any(drop.reason == program_facts.STOP for drop in found.drops):
+        stdout().print(
+            Text(f"{program_facts.STOP}: the arm starts or stops there, as at both ends of the path.", style="dim")
+        )
 
 
 class _LimitsInFile(NamedTuple):
@@ -307,35 +313,8 @@ def _step_seconds(step_ms: float | None) -> float | None:
     return None if step_ms is None else 1e-3 * step_ms
 
 
-def _drop_table(found: ProgramFigures, manipulability: Float[np.ndarray, "T"]) -> Table:
-    """Return a table with one row per feed drop, with the smallest manipulability between its targets [m/rad]."""
-    rows = []
-    for drop in found.drops:
-        low, high = sorted((drop.first_target, drop.last_target))
-        own = float(np.fmin.reduce(manipulability[low : high + 1]))
-        rows.append((1e3 * drop.begin_m, 1e3 * drop.end_m, 1e3 * drop.feed_m_s, drop.target, own, drop.reason))
-    shown = columns.of("begin_mm", "end_mm", "feed_mm_s", "target", "manipulability_m_rad", "reason")
-    return Table("feed_drops", shown, tuple(rows))
-
-
 def _share_record(found: list[Share]) -> dict[str, dict]:
     return {each.limit: {"share": each.share, "joint": each.joint, "time_s": each.time_s} for each in found}
-
-
-def _torque(peak_torque: PeakTorque | None) -> str:
-    if peak_torque is None:
-        return "omitted: the model has no inertias, or placeholders (all links have the same mass)"
-    share, at = peak_torque.share, f"{peak_torque.joint} at {peak_torque.time_s:.2f} s"
-    at = f"{abs(peak_torque.torque):.4g} N m (N if prismatic) at most, {at}"
-    return f"{100 * share:.1f} % of the effort limit, {at}" if share else f"{at}; no effort limit"
-
-
-def _near_part(job: PlanConfig) -> dict[str, str]:
-    program = job.program
-    if program.near_part_speed == 1:
-        return {}
-    speed = f"at most {100 * program.near_part_speed:g} % of full joint speed"
-    return {"near the part": f"{speed} within {1e3 * program.near_part_m:g} mm of it, before and after the path"}
 
 
 def _note_feeds(feed: str | None, job: PlanConfig) -> None:
@@ -343,16 +322,3 @@ def _note_feeds(feed: str | None, job: PlanConfig) -> None:
     own = [f"{seam.name} ({seam.feed})" for seam in job.workpiece.seams if seam.feed is not None]
     if feed is not None and own:
         warnings.warn(f"--feed {feed} replaces the feeds of seams: {', '.join(own)}", Note, stacklevel=1)
-
-
-def _program_facts(found: ProgramFigures, seam_feeds: Mapping[str, float]) -> dict[str, str]:
-    parts = ", ".join(f"{kind} {seconds:.2f} s" for kind, seconds in found.seconds.items())
-    held = f"held within 1 % over {100 * found.held_share:.2f} % of {1e3 * found.path_m:.1f} mm"
-    if found.reason is not None:
-        held += f"; {1e3 * found.reached_m_s:.3g} mm/s reached everywhere, limited by {found.reason}"
-    feeds = ", ".join(f"{1e3 * feed:g} mm/s on {name}" for name, feed in seam_feeds.items())
-    facts = {"duration": f"{found.duration_s:.2f} s: {parts}"}
-    facts["feed"] = f"{feeds or f'{1e3 * found.feed_m_s:g} mm/s'}, {held}"
-    for each in found.shares:
-        facts[each.limit] = f"{100 * each.share:.1f} % of the limit at most, {each.joint} at {each.time_s:.2f} s"
-    return facts

@@ -69,11 +69,12 @@ def render(
 ) -> int:
     """Draw a picture and a movie of one plan; no screen is needed.
 
-    The workpiece is cut open. Targets are blue if tracked, orange if tracked after a recovery, red if the plan failed
-    there, grey after that target. A green cube marks a target at which the arm changes its configuration, a purple
-    ball the minimum guaranteed clearance. With --feed the movie shows the timed motion of htcp program, with plots of
-    TCP and joint speeds. A part that moves is drawn complete, and the world is at rest; with --from-part the part is
-    at rest and cut open. Install EGL or OSMesa.
+    A part that is a mesh is drawn as its own triangles, a cloud as discs, cut open where its walls would hide the path.
+    The camera looks from the side from which least of the path is hidden. Targets are blue if tracked, orange if
+    tracked after a recovery, red if the plan failed there, grey after that target. A green cube marks a target at which
+    the arm changes its configuration, a purple ball the minimum guaranteed clearance. With --feed the movie shows the
+    timed motion of htcp program, with plots of TCP and joint speeds. A part that moves is drawn complete, and the world
+    is at rest; with --from-part the part is at rest and cut open. Install EGL or OSMesa.
 
     Exit codes: 0, 2 on bad input or without EGL and OSMesa.
 

@@ -63,7 +63,7 @@ def view(
     unit: Unit = None,
     interpolation: Interpolation = None,
 ) -> int:
-    """Show plans in the browser: the arm with its capsules, the workpiece cut open, targets, clearance.
+    """Show plans in the browser: the arm with its capsules, the workpiece, targets, clearance.
 
     Failed scenarios of a run are listed first. A job is planned before it is shown. With --feed, the timed motion
     of htcp program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section

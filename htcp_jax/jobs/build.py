@@ -58,6 +58,7 @@ from htcp_jax.spec import (
 )
 
 NO_CELL = CellConfig()
+LEVEL = 1e-6  # 1 - cosine of the angle at which a plane counts as level
 
 
 @contextmanager
@@ -299,7 +300,10 @@ def follower_at(job: PlanConfig, robot: Robot, x: Float[np.ndarray, "N"]) -> Flo
 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
-    """Load the triangles and clouds of the cell's fixed objects, for drawing; moving objects are bodies of the arm."""
+    """Load the triangles and clouds of the cell's fixed objects, for drawing; moving objects are bodies of the arm.
+
+    The floor is the highest plane that faces upwards.
+    """
     given = [cell_shapes.shapes_in_world(kind) for kind in cell.obstacles]
     for kind, shapes in zip(cell.obstacles, given, strict=True):
         if not shapes:
@@ -314,9 +318,10 @@ def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:
             triangles.append(mesh @ T[:3, :3].T + T[:3, 3])
         else:
             surfaces.append(surface.surface_of(points).placed(T))
-    return surface.WorldGeometry(
-        np.concatenate(triangles), surface.Surface(*map(np.concatenate, zip(*surfaces, strict=True)))
-    )
+    clouds = surface.Surface(*map(np.concatenate, zip(*surfaces, strict=True)))
+    planes = [each.T_world for each in shapes if each.kind == "plane"]
+    floors = [float(T[2, 3]) for T in planes if T[2, 2] > 1 - LEVEL]
+    return surface.WorldGeometry(np.concatenate(triangles), clouds, max(floors, default=None))
 
 
 def obstacles_of(cell: CellConfig, robot: Robot) -> Obstacles:

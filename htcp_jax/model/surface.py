@@ -43,10 +43,12 @@ class WorldGeometry(NamedTuple):
 
     triangles: Float[np.ndarray, "F 3 3"]  # [m]
     clouds: Surface
+    floor_m: float | None = None  # height of the floor [m]; None: unknown
 
     def placed(self, T: Float[np.ndarray, "4 4"]) -> "WorldGeometry":
-        """Return the geometry transformed by T [m]."""
-        return WorldGeometry(self.triangles @ T[:3, :3].T + T[:3, 3], self.clouds.placed(T))
+        """Return the geometry transformed by T [m]; without a floor, unless T is the identity."""
+        floor_m = self.floor_m if (T == np.eye(4)).all() else None
+        return WorldGeometry(self.triangles @ T[:3, :3].T + T[:3, 3], self.clouds.placed(T), floor_m)
 
 
 NOTHING = WorldGeometry(np.empty((0, 3, 3)), Surface(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))

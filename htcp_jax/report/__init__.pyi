@@ -1,7 +1,8 @@
-from . import charts, gate, reach_study, timing_table, validation
+from . import charts, gate, program_facts, reach_study, timing_table, validation
 from .chapter import part_facts
 from .document import Table
 from .place_pictures import draw_search
+from .plan_report import report_of_plan
 from .proof_picture import draw_proof
 from .report import make_report, report_record, write_report
 from .tables import compilation_row, result_row
@@ -15,7 +16,9 @@ __all__ = [
     "gate",
     "make_report",
     "part_facts",
+    "program_facts",
     "reach_study",
+    "report_of_plan",
     "report_record",
     "result_row",
     "timing_table",

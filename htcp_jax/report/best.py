@@ -65,7 +65,5 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
     figure = part.scene.picture(number, method, what)
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
-    alt = (
-        f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm; the workpiece is cut open"
-    )
+    alt = f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm"
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]

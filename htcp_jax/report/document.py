@@ -15,6 +15,7 @@ from htcp_jax.system import files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 PAGE = Path(__file__).with_name("page.html")
 
@@ -59,11 +60,15 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Figure in a document; `name` is the stem of its file, `alt` its alternative text."""
+    """Figure or image in a document; `name` is the stem of its file, `alt` its alternative text.
+
+    With `half` it takes half of the page's width, next to another one; on a narrow screen all of it.
+    """
 
     name: str
-    figure: "Figure"
+    figure: "Figure | Image"
     alt: str
+    half: bool = False
 
 
 class Heading(NamedTuple):
@@ -118,10 +123,13 @@ def write_csv(file: Path, table: Table) -> None:
     files.write_atomically(file.parent, file.name, stream.getvalue().encode())
 
 
-def png(figure: "Figure") -> bytes:
-    """Return the figure as the bytes of a PNG file."""
+def png(figure: "Figure | Image") -> bytes:
+    """Return a figure or an image as the bytes of a PNG file."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
+    if hasattr(figure, "savefig"):
+        figure.savefig(stream, format="png", metadata={"Software": None})
+    else:
+        figure.save(stream, format="png", optimize=True)
     return stream.getvalue()
 
 
@@ -131,7 +139,7 @@ def _markdown(block: Block) -> str:
             return f"{'#' * level} {text}"
         case Table():
             return _markdown_table(block)
-        case Picture(name, _, alt):
+        case Picture(name, _, alt, _):
             return f"![{alt}]({name}.png)"
     return block
 
@@ -156,17 +164,19 @@ def _html(block: Block, pictures: dict[str, bytes]) -> str:
             return f"<h{level}>{escape(text)}</h{level}>"
         case Table():
             return _html_table(block)
-        case Picture(name, _, alt):
-            data = base64.b64encode(pictures[name]).decode()
-            return f'<div class="picture"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
+        case Picture(name, _, alt, half):
+            data, kind = base64.b64encode(pictures[name]).decode(), "half" if half else "picture"
+            return f'<div class="{kind}"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
     return f"<p>{escape(block)}</p>"
 
 
 def _html_table(table: Table) -> str:
     kinds = [" ".join(("number" if c.format else "", "quiet" if c.quiet else "")).strip() for c in table.columns]
+    has_units = any(c.unit for c in table.columns)
+    below = [f"<br><small>{escape(c.unit) or '&nbsp;'}</small>" if has_units else "" for c in table.columns]
     heads = [
-        f'<th class="{kind}">{escape(c.heading)}<br><small>{escape(c.unit) or "&nbsp;"}</small></th>'
-        for c, kind in zip(table.columns, kinds, strict=True)
+        f'<th class="{kind}">{escape(c.heading)}{unit}</th>'
+        for c, kind, unit in zip(table.columns, kinds, below, strict=True)
     ]
     rows = [
         "".join(f'<td class="{kind}">{escape(text)}</td>' for text, kind in zip(line, kinds, strict=True))

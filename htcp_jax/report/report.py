@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
+from PIL.Image import Image
 
 from htcp_jax.errors import InputError
 from htcp_jax.planning import registry
@@ -38,7 +39,8 @@ class Report(NamedTuple):
     @property
     def figures(self) -> "dict[str, Figure]":
         """Charts of the report, by the stems of their file names."""
-        return {block.name: block.figure for block in self.blocks if isinstance(block, Picture)}
+        pictures = [block for block in self.blocks if isinstance(block, Picture)]
+        return {each.name: each.figure for each in pictures if not isinstance(each.figure, Image)}
 
     def frame(self, table: str = "results") -> "pandas.DataFrame":
         """Return one of the report's tables as a pandas frame, with the column names of its CSV file.

@@ -19,11 +19,12 @@ from htcp_jax.errors import InputError
 from htcp_jax.motion import Plans, Retract, ViaPoints, plans
 from htcp_jax.runs import parameters, tables
 from htcp_jax.runs.finite import check_arrays
-from htcp_jax.runs.identity import file_hash, recorded_config, refuse_changed
+from htcp_jax.runs.identity import file_hash, other_format, recorded_config, refuse_changed
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.parameters import Parameters
 from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY, PlanRecord, read_plan
 from htcp_jax.runs.run_folder import Run, open_run
+from htcp_jax.runs.seam_order import SeamOrder
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
@@ -117,7 +118,7 @@ class FolderPlan:
 
     def __init__(self, folder: Path, record: PlanRecord):
         self.folder, self.methods, self.count, self.mixed = folder, (record.method,), 1, False
-        self.missing = record.missing  # reasons for seams that the plan lacks, by name
+        self._order, self.missing = record.order, record.missing  # reasons for seams that the plan lacks, by name
         self.config = recorded_config(record.config, folder / SUMMARY)
         self.jobs, self.parameters, self.labels = [self.config], {0: parameters.of_job(self.config)}, {0: ""}
         self.files = {TRAJECTORY: file_hash(folder / TRAJECTORY)}
@@ -128,6 +129,18 @@ class FolderPlan:
         arrays = {name: array[None] for name, array in record.arrays.items()}
         seams = _read_seams(folder / TRAJECTORY, record, joints)
         self._plans = Plans(**arrays, via_points=via_points, compile_s=0.0, run_s=0.0, **seams)
+
+    @property
+    def order(self) -> SeamOrder | None:
+        """Order of the plan's seams; None for one seam.
+
+        Raises:
+            InputError: If another version of the package has written it.
+        """
+        try:
+            return None if self._order is None else SeamOrder.read(self._order)
+        except (KeyError, TypeError) as error:
+            raise other_format(self.folder, f"{SUMMARY} has another order: {files.one_line(error)}") from None
 
     def plans(self, method: str) -> Plans:
         """Return the plan, with a scenario axis of length 1 in each array. Its run times are 0; they are not saved."""

@@ -37,6 +37,7 @@ class PlanRecord(NamedTuple):
     seam_begins: np.ndarray  # first targets of later seams
     retract: tuple[np.ndarray, np.ndarray] | None  # fields of `Retract`; None: the motion reversed
     missing: dict[str, str]  # reasons for seams that the plan lacks, by name
+    order: dict | None  # the order of several seams, see `SeamOrder.record`
 
 
 def refuse_run(folder: Path) -> None:
@@ -66,7 +67,7 @@ def read_plan(folder: Path) -> PlanRecord:
         back = (found["retract_x"], found["retract_clearance"]) if "retract_x" in found else None
         missing = {str(name): str(reason) for name, reason in summary.get("order", {}).get("missing", {}).items()}
         begins = found.get("seam_begins", np.zeros(0, int))
-        return PlanRecord(method, config, hashes, own, via_points, begins, back, missing)
+        return PlanRecord(method, config, hashes, own, via_points, begins, back, missing, summary.get("order"))
     except OSError as error:
         raise InputError(f"{folder} contains no plan: cannot read {error.filename}: {error.strerror}") from None
     except InputError:

@@ -61,6 +61,15 @@ class SeamOrder(NamedTuple):
         back = None if made.retract is None else float(made.retract.clearance.min())
         return cls(tuple(visits), reasons, *sequence[3:5], back)
 
+    @classmethod
+    def read(cls, record: Mapping[str, Any]) -> "SeamOrder":
+        """Return the order in a mapping that `record` has made.
+
+        Raises:
+            TypeError: If it has other keys.
+        """
+        return cls(**{**record, "visits": tuple(SeamVisit(**visit) for visit in record["visits"])})
+
     @property
     def done(self) -> str:
         """Names of the seams that are done; of many, their number."""

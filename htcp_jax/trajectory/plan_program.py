@@ -32,7 +32,13 @@ from htcp_jax.trajectory.exact_corners import with_exact_corners
 from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
-from htcp_jax.trajectory.joint_torques import TORQUES_EVERY_S, PeakTorque, model_of, peak_torque, torques
+from htcp_jax.trajectory.joint_torques import (
+    TORQUES_EVERY_S,
+    PeakTorque,
+    model_of,
+    peak_torque,
+    torques,
+)
 from htcp_jax.trajectory.limits import MotionLimits, joint_limits
 from htcp_jax.trajectory.limits_file import limits_of_job
 from htcp_jax.trajectory.near_part import near_part_speeds

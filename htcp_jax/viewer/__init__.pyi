@@ -1,23 +1,28 @@
-from . import movie, offscreen, plot_strip, reach_picture
+from . import movie, offscreen, plot_strip, reach_picture, seam_marks
+from .angle_strip import draw_angles
 from .arm_picture import draw_arm
 from .browser.page import Viewer
 from .file_motion import replays_of_file
 from .normal_glyphs import glyphs
-from .picture import draw_cell, draw_plan
+from .picture import draw_cell, draw_clearance, draw_plan
 from .reach_picture import ReachPanel, draw_reach
 from .render import Studio
-from .replay import Replay, Replays, recorded_replays, replays_of
-from .timed_play import arms_of, frame_times, sample_program
+from .replay import PlannedJob, Replay, Replays, recorded_replays, replays_of
+from .timed_play import Curves, arms_of, frame_times, reached_s, sample_program
 
 __all__ = [
+    "Curves",
+    "PlannedJob",
     "ReachPanel",
     "Replay",
     "Replays",
     "Studio",
     "Viewer",
     "arms_of",
+    "draw_angles",
     "draw_arm",
     "draw_cell",
+    "draw_clearance",
     "draw_plan",
     "draw_reach",
     "frame_times",
@@ -26,8 +31,10 @@ __all__ = [
     "offscreen",
     "plot_strip",
     "reach_picture",
+    "reached_s",
     "recorded_replays",
     "replays_of",
     "replays_of_file",
     "sample_program",
+    "seam_marks",
 ]

@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import arm_poses as poses
+from htcp_jax.viewer.colours import is_tool
+from htcp_jax.viewer.viewpoints import ShownBodies
 
 AT_REST = np.eye(4)
+THICK_M, MOST_FLAT = 0.01, 4  # radius above which a piece is thickened; fewer points than these are always
 
 
 class ArmPose(NamedTuple):
@@ -89,3 +93,28 @@ def links_at(robot: Robot, x: Float[np.ndarray, "n N"]) -> list[Float[np.ndarray
     if robot.pieces is None:
         return [None] * len(x)
     return list(poses.at(robot, x).T_root_link)
+
+
+def shown_bodies(robot: Robot, row: Sequence[ArmPose]) -> ShownBodies:
+    """Return the bodies of the arm in n poses, to find out what they hide.
+
+    Args:
+        robot: The robot.
+        row: The poses, in the frame in which they are drawn, see `seen`.
+    """
+    arm, pieces = together(row), robots.checked_pieces(robot)
+    found = ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
+    if not pieces:
+        return found
+    hulls = {k: _hull(*piece) for k, piece in pieces.items()}
+    capsule = np.repeat(list(hulls), [len(own) for own in hulls.values()])
+    triangles = [np.concatenate([moved(own, pose.links[k]) for k, own in hulls.items()]) for pose in row]
+    return found._replace(triangles=np.stack(triangles), capsule=capsule)
+
+
+def _hull(points: Float[np.ndarray, "V 3"], radius: float) -> Float[np.ndarray, "E 3 3"]:
+    """Return the triangles of a piece's convex hull [m], thickened by its radius only if that is large."""
+    if radius > THICK_M or len(points) < MOST_FLAT:
+        octahedron = max(radius, THICK_M / 100) * np.concatenate([np.eye(3), -np.eye(3)])
+        points = (points[:, None] + octahedron).reshape(-1, 3)
+    return points[scipy.spatial.ConvexHull(points, qhull_options="QJ").simplices]  # joggled: it may be flat

@@ -11,7 +11,7 @@ from htcp_jax.viewer.arm_pose import AT_REST, ArmPose, moved, seen, together
 from htcp_jax.viewer.colours import is_tool
 from htcp_jax.viewer.playback import pose_at
 from htcp_jax.viewer.replay import Replay
-from htcp_jax.viewer.viewpoints import ABOVE_RAD, View, Viewpoint, towards_camera
+from htcp_jax.viewer.viewpoints import View, Viewpoint
 
 FILLED = 0.94  # maximum share of the picture's width or height that the objects fill
 
@@ -23,18 +23,25 @@ class CameraPose(NamedTuple):
     look_at: Float[np.ndarray, "3"]  # point in the middle of the view, at the objects' mean depth
 
 
+def viewpoint_of(replay: Replay, from_part: bool = True, side: int = 0) -> Viewpoint:
+    """Return a side from which the plan is drawn.
+
+    Args:
+        replay: The plan.
+        from_part: True for the side relative to the part, False for the side in the world.
+        side: 0 for the best side, 1 for the second.
+    """
+    return (replay.sides if from_part else replay.sides_in_world)[side]
+
+
 def open_side(replay: Replay, from_part: bool = True) -> View:
-    """Return the side from which the cloud is cut open.
+    """Return the side from which the workpiece is cut open, if it is cut.
 
     Args:
         replay: The plan.
         from_part: True for the side relative to the part, False for the side in the world.
     """
-    return _side(replay, from_part).view
-
-
-def _side(replay: Replay, from_part: bool) -> Viewpoint:
-    return replay.side if from_part else replay.side_in_world
+    return viewpoint_of(replay, from_part).view
 
 
 def middle_root(replay: Replay, from_part: bool) -> Float[np.ndarray, "4 4"]:
@@ -42,8 +49,10 @@ def middle_root(replay: Replay, from_part: bool) -> Float[np.ndarray, "4 4"]:
     return AT_REST if from_part else replay.T_root[max(replay.tracked, 1) // 2]
 
 
-def lowest(replay: Replay, from_part: bool) -> float:
-    """Return the floor's height [m], below all objects and at most 0."""
+def floor_height(replay: Replay, from_part: bool) -> float:
+    """Return the height at which the floor is drawn [m]: the cell's, else below all objects and at most 0."""
+    if replay.fixtures.floor_m is not None and not replay.robot.part_moves:
+        return replay.fixtures.floor_m
     poses = [seen(pose_at(replay, target), from_part) for target in range(len(replay.target))]
     arms, cloud = together(poses), moved(replay.cloud, middle_root(replay, from_part))
     low = (np.minimum(arms.p, arms.q)[..., 2] - np.asarray(replay.robot.capsule_radius)).min()
@@ -60,8 +69,20 @@ def kept_points(
         share: Share of the cloud's extent that is removed.
         direction: Unit direction from the cloud's centre to the removed side; None: the open side.
     """
-    depth = replay.cloud @ (open_side(replay).near if direction is None else direction)
-    return depth <= depth.max() - share * np.ptp(depth)
+    near = open_side(replay).near if direction is None else direction
+    return replay.cloud @ near <= cut_plane(replay, share, near)
+
+
+def cut_plane(replay: Replay, share: float, near: Float[np.ndarray, "3"]) -> float:
+    """Return the offset of the plane at which the workpiece is cut [m].
+
+    Args:
+        replay: The plan.
+        share: Share of the cloud's extent that is removed.
+        near: Unit direction from the cloud's centre to the removed side.
+    """
+    depth = replay.cloud @ near
+    return float(depth.max() - share * np.ptp(depth))
 
 
 def camera_pose(
@@ -71,6 +92,7 @@ def camera_pose(
     aspect: float,
     close: bool = False,
     from_part: bool = False,
+    side: int = 0,
 ) -> CameraPose:
     """Return the nearest camera with the cloud, the targets and the arm in n poses completely in view.
 
@@ -81,10 +103,10 @@ def camera_pose(
         aspect: Width / height of the picture.
         close: True to leave the arm's links and the targets before the path out of account.
         from_part: True to draw a moving part at rest; False to draw the world at rest.
+        side: See `viewpoint_of`.
     """
     poses = [seen(pose, from_part) for pose in poses]
-    arms, toward = together(poses), towards_camera(*_side(replay, from_part), 0.0)
-    azimuth = np.arctan2(-toward[1], -toward[0])
+    arms, toward = together(poses), viewpoint_of(replay, from_part, side).toward
     on_tool = is_tool(replay.robot)
     bodies = on_tool if close else np.ones_like(on_tool)
     ends = np.concatenate([arms.p[:, bodies], arms.q[:, bodies]])
@@ -94,24 +116,26 @@ def camera_pose(
         box = np.array(list(itertools.product(*np.stack([points.min(axis=0), points.max(axis=0)], axis=1))))
         points = np.concatenate([moved(box, pose.T_root) for pose in poses])
     centres = np.concatenate([points, ends.reshape(-1, 3)])
-    return nearest_camera(centres, np.append(np.zeros(len(points)), radii.ravel()), azimuth, fovy_rad, aspect)
+    return nearest_camera(centres, np.append(np.zeros(len(points)), radii.ravel()), -toward, fovy_rad, aspect)
 
 
 def nearest_camera(
-    centres: Float[np.ndarray, "n 3"], radii: Float[np.ndarray, "n"], azimuth: float, fovy_rad: float, aspect: float
+    centres: Float[np.ndarray, "n 3"],
+    radii: Float[np.ndarray, "n"],
+    ahead: Float[np.ndarray, "3"],
+    fovy_rad: float,
+    aspect: float,
 ) -> CameraPose:
     """Return the nearest camera with all spheres completely in view.
 
     Args:
         centres: Centres of the spheres, world [m].
         radii: Radii of the spheres [m].
-        azimuth: Angle of the viewing direction about world z [rad]; the camera looks downwards by ABOVE_RAD.
+        ahead: Unit direction in which the camera looks; not vertical.
         fovy_rad: Vertical field of view [rad].
         aspect: Width / height of the picture.
     """
-    level = np.cos(ABOVE_RAD)
-    ahead = np.array([level * np.cos(azimuth), level * np.sin(azimuth), -np.sin(ABOVE_RAD)])
-    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0])
+    right = np.array([ahead[1], -ahead[0], 0]) / np.hypot(*ahead[:2])
     up = np.cross(right, ahead)
     across, depth = centres @ np.stack([right, up], axis=1), centres @ ahead
     slope = FILLED * np.tan(fovy_rad / 2) * np.array([aspect, 1.0])

@@ -1,4 +1,4 @@
-"""Meshes that are drawn: discs at the points of a cloud, and rounded hulls of bodies."""
+"""Meshes that are drawn: a part's own triangles, discs at the points of a cloud, and rounded hulls of bodies."""
 
 from typing import NamedTuple
 
@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from htcp_jax.model import surface as surfaces
 
 CORNERS = 6  # of a disc
+MOST_TRIANGLES = 500_000  # of a larger mesh, discs at sampled points are drawn
 THINNEST_M = 1e-4  # minimum radius of a hull
 
 
@@ -39,6 +40,53 @@ def discs(surface: surfaces.Surface, side: int = 1, corners: int = CORNERS) -> M
         normals=np.repeat(normals, corners, axis=0),
         faces=(corners * np.arange(len(normals))[:, None, None] + fan).reshape(-1, 3),
     )
+
+
+def flat_mesh(triangles: Float[np.ndarray, "F 3 3"], side: int = 1) -> Mesh:
+    """Return a mesh of triangles that are drawn flat.
+
+    Args:
+        triangles: The triangles [m].
+        side: 1, or -1 for triangles visible from the other side.
+    """
+    corners = triangles[:, ::side]
+    return Mesh(
+        corners.reshape(-1, 3), np.repeat(normals_of(corners), 3, axis=0), np.arange(corners.size // 3).reshape(-1, 3)
+    )
+
+
+def normals_of(triangles: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
+    """Return the unit normals of triangles; z for a triangle without area."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, normals / np.where(length > 0, length, 1), [0.0, 0, 1])
+
+
+def cut_triangles(
+    triangles: Float[np.ndarray, "F 3 3"], normal: Float[np.ndarray, "3"], offset: float
+) -> Float[np.ndarray, "G 3 3"]:
+    """Return what remains of triangles where normal @ p <= offset; those that are not cut keep their corners.
+
+    Args:
+        triangles: The triangles [m].
+        normal: Unit normal of the plane, towards the removed side.
+        offset: Distance of the plane from the origin [m].
+    """
+    over = triangles @ normal - offset
+    count = (over > 0).sum(axis=1)
+    parts = [triangles[count == 0]]
+    for most in (1, 2):  # number of removed corners; the corner that is alone on its side comes first
+        own, height = triangles[count == most], over[count == most]
+        alone = (height if most == 1 else -height).argmax(axis=1)
+        turn = (alone[:, None] + np.arange(3)) % 3
+        own, height = np.take_along_axis(own, turn[..., None], 1), np.take_along_axis(height, turn, 1)
+        share = height[:, :1] / (height[:, :1] - height[:, 1:])
+        b, c = np.moveaxis(own[:, :1] + share[..., None] * (own[:, 1:] - own[:, :1]), 1, 0)
+        if most == 1:
+            parts += [np.stack([b, own[:, 1], own[:, 2]], axis=1), np.stack([b, own[:, 2], c], axis=1)]
+        else:
+            parts.append(np.stack([own[:, 0], b, c], axis=1))
+    return np.concatenate(parts)
 
 
 def rounded_hull(

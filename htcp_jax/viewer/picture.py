@@ -1,6 +1,7 @@
-"""Picture of a plan: the arm in the workpiece cut open, and the clearance along the path.
+"""Picture of a plan: the arm in the workpiece, and the clearance along the path.
 
-The scene is drawn from the side in orthographic projection, in which the outline of a capsule is two half circles and
+The workpiece is its own mesh, or the points of a cloud. It is cut open where its walls would hide the path. The scene
+is drawn from the side in orthographic projection, in which the outline of a capsule is two half circles and
 two lines. Where the convex piece of a mesh is checked in place of a capsule, its outline is drawn. Drawing needs no
 screen.
 """
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -29,7 +30,17 @@ from htcp_jax.spec import ToolAxisRow
 from htcp_jax.status import Status
 from htcp_jax.viewer import seam_marks
 from htcp_jax.viewer.angle_strip import draw_angles
-from htcp_jax.viewer.arm_pose import ArmPose, arms_at, moved, pieces_at, roots_at, seen, together
+from htcp_jax.viewer.arm_pose import (
+    ArmPose,
+    arms_at,
+    links_at,
+    moved,
+    pieces_at,
+    roots_at,
+    seen,
+    shown_bodies,
+    together,
+)
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -40,17 +51,16 @@ from htcp_jax.viewer.colours import (
     NORMAL,
     PAPER,
     TOOL,
-    WALL,
     is_tool,
     target_styles,
 )
 from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
-from htcp_jax.viewer.viewpoints import ShownBodies, View, flat_side
+from htcp_jax.viewer.picture_part import Part
+from htcp_jax.viewer.viewpoints import NO_TRIANGLES, ShownScene, View, flat_side
+from htcp_jax.viewer.workcell import shown_triangles
 
-DEPTH = LinearSegmentedColormap.from_list("wall", WALL)
 THINNEST_M = 1e-5  # half of the width at which a flat shape is drawn
 SMALLEST_M = 0.1  # minimum extent of a view, for example of a single point
-LEVELS = 32  # number of depth levels; drawing markers of one colour together is faster
 FONT_PT, LINE_LENGTH = 9.5, 90  # texts in the clearance plot: size, and maximum characters per line
 HEADROOM = 0.1  # free space above the curve, for texts, as a share of its height
 CLOSE = 0.03  # lines closer than this share of all targets have their texts left of the first line
@@ -99,17 +109,17 @@ def draw_plan(
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, y=0.985, ha="left")
     grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios, width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
-    cloud = workpiece.shown @ T[:3, :3].T + T[:3, 3]
+    part = Part(moved(workpiece.shown, T), moved(shown_triangles(workpiece), T))
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
     x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
-    drawn = _draw_scene(figure, grid, robot, cloud, plans, row, x_start, obstruction, fixtures, seams)
+    drawn = _draw_scene(figure, grid, robot, part, plans, row, x_start, obstruction, fixtures, seams)
     motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes, (view, T) in zip(figure.axes, drawn, strict=True):
         axes.add_collection(LineCollection(view.flat(moved(normals, T)), colors=NORMAL, linewidths=0.7, zorder=4))
         _mark_dwells(axes, view.flat(moved(plans.target[row], T)), motion)
     colliding_body = obstruction.description if obstruction is not None else ""
     below = figure.add_subplot(grid[1, :])
-    _draw_clearance(below, plans, row, scenario)
+    draw_clearance(below, plans, row, scenario)
     seam_marks.draw_begins(below, plans, seams)
     _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
     below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
@@ -122,7 +132,7 @@ def _draw_scene(
     figure: Figure,
     grid: GridSpec,
     robot: Robot,
-    cloud: Float[np.ndarray, "P 3"],
+    part: Part,
     plans: Plans,
     row: int,
     x_start: Float[np.ndarray, "1 N"],
@@ -141,7 +151,10 @@ def _draw_scene(
     shown = shown_targets(plans, row)
     x = plans.x[row, shown] if shown else x_start
     arm, roots = arms_at(robot, x), roots_at(robot, x)
-    poses = [ArmPose(kinematics.ArmShape(*one), 0, T_root=T) for *one, T in zip(*arm, roots, strict=True)]
+    poses = [
+        ArmPose(kinematics.ArmShape(*one), 0, T_root=T, links=links)
+        for *one, T, links in zip(*arm, roots, links_at(robot, x), strict=True)
+    ]
     drawn = []
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
     headings = _pose_heading(shown, robot.part_moves, attempted), "From the part" if robot.part_moves else "Close-up"
@@ -150,12 +163,13 @@ def _draw_scene(
         axes = figure.add_subplot(grid[0, column])
         frames = [seen(pose, from_part=bool(column)) for pose in poses]
         T, arm = frames[-1].T_root, together(frames)
-        wall, targets = moved(cloud, T), moved(plans.target[row], T)
+        wall, targets, others = part.moved(T), moved(plans.target[row], T), fixtures.placed(T)
         if column == 0 or robot.part_moves:  # else both views are the same
-            shown_bodies = ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
-            view = flat_side(wall, targets, shown_bodies)
-        _draw_wall(axes, view, wall)
-        _draw_fixtures(axes, view, fixtures.placed(T))
+            bodies = shown_bodies(robot, frames[-1:])
+            at = flat_side(ShownScene(wall.cloud, targets, bodies, wall.triangles, others.triangles))
+        view = at.view
+        wall.draw(axes, at)
+        _draw_fixtures(axes, view, others)
         outlines = [_outlines(view, robot, *each) for each in zip(frames, pieces, strict=True)]
         _draw_arm(axes, view, robot, arm, outlines)
         _draw_targets(axes, view.flat(targets), plans, row)
@@ -163,7 +177,7 @@ def _draw_scene(
             seam_marks.draw_names(axes, view.flat(targets), plans, seams)
         if obstruction is not None and obstruction.collides:
             _draw_obstruction(axes, view, robot, obstruction, T)
-        _set_limits(axes, view.flat(wall) if column else None)
+        _set_limits(axes, view.flat(wall.cloud) if column else None, others.floor_m)
         _draw_triad(axes, view)
         azimuth = round(np.degrees(np.arctan2(view.near[1], view.near[0])))
         _heading(axes, f"{heading}, seen from azimuth {azimuth}°")
@@ -178,8 +192,9 @@ def draw_cell(
     plans: Plans,
     title: str,
     fixtures: surface.WorldGeometry = surface.NOTHING,
+    triangles: Float[np.ndarray, "M 3 3"] = NO_TRIANGLES,
 ) -> Figure:
-    """Draw the arm in the workpiece cut open, and the other obstacles.
+    """Draw the arm in the workpiece, and the other obstacles.
 
     Args:
         robot: The robot, with the scenario's tool.
@@ -188,6 +203,7 @@ def draw_cell(
         plans: Plans; the first one is drawn.
         title: The title of the figure.
         fixtures: The other obstacles.
+        triangles: Mesh of the workpiece, world [m]; none for a cloud.
 
     Returns:
         The figure, to be saved with `figure.savefig(path)`.
@@ -196,7 +212,7 @@ def draw_cell(
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
     grid = figure.add_gridspec(1, 2, width_ratios=(1.12, 1))
-    _draw_scene(figure, grid, robot, cloud, plans, 0, x_start, fixtures=fixtures)
+    _draw_scene(figure, grid, robot, Part(cloud, triangles), plans, 0, x_start, fixtures=fixtures)
     return figure
 
 
@@ -206,22 +222,9 @@ def shown_targets(plans: Plans, row: int) -> list[int]:
     return sorted({int(tracked[i]) for i in (0, tracked.size // 2, -1)}) if tracked.size else []
 
 
-def _draw_wall(axes: Axes, view: View, cloud: Float[np.ndarray, "P 3"]) -> None:
-    """Draw the half of the cloud behind the cut, darkest at the cut and lighter with depth."""
-    depth = cloud @ view.near
-    cut = (depth.max() + depth.min()) / 2
-    behind = np.flatnonzero(depth <= cut)
-    behind = behind[np.argsort(depth[behind])]
-    flat = view.flat(cloud[behind])
-    look = {"linestyle": "", "marker": "o", "markersize": np.sqrt(1.2), "markeredgewidth": 0, "rasterized": True}
-    for level, part in enumerate(np.array_split(flat, LEVELS)):
-        share = 1 - level / (LEVELS - 1)
-        axes.plot(*part.T, color=DEPTH(share), zorder=1 + level * 1e-3, **look)
-
-
 def _draw_fixtures(axes: Axes, view: View, fixtures: surface.WorldGeometry) -> None:
     """Draw the other obstacles, transparent, the farthest first."""
-    triangles, clouds = fixtures
+    triangles, clouds, _ = fixtures
     if len(clouds.points):
         flat = view.flat(clouds.points)
         axes.scatter(*flat.T, color=to_rgba(FIXTURE, 0.25), s=1.2, linewidths=0, rasterized=True, zorder=1.5)
@@ -350,14 +353,22 @@ def _draw_events(
         below += 1.4 * FONT_PT * len(lines)
 
 
-def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None) -> None:
-    """Set equal scales and limits that include all objects, or only the points `around`, and draw a scale bar."""
+def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None, floor_m: float | None) -> None:
+    """Set equal scales and limits, and draw the floor and a scale bar.
+
+    Args:
+        axes: The axes of a view.
+        around: Points that the limits include; None: all objects.
+        floor_m: Height of the floor [m]; None: a line below all objects of a view of all objects, at most at 0.
+    """
     axes.set_aspect("equal", anchor="NW")
     axes.axis("off")
     if around is None:
         axes.autoscale_view()
-        axes.axhline(0, color=INK, linewidth=1, alpha=0.5, zorder=0)
-    else:
+        floor_m = min(0.0, axes.dataLim.y0) if floor_m is None else floor_m
+    if floor_m is not None:
+        axes.axhline(floor_m, color=INK, linewidth=1, alpha=0.5, zorder=0)
+    if around is not None:
         low, high = around.min(axis=0), around.max(axis=0)
         largest = max((high - low).max(), SMALLEST_M)
         border = np.maximum(0.05 * largest, 0.25 * largest - (high - low) / 2)  # a line is shown with its surroundings
@@ -409,8 +420,15 @@ def _heading(axes: Axes, text: str) -> None:
     axes.set_title(text, color=INK, fontsize=11, loc="left", y=1.0)  # without y, matplotlib measures all ticks twice
 
 
-def _draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
-    """Draw the clearance over the target index, on a logarithmic scale to resolve small values."""
+def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
+    """Draw the clearance over the target index, on a logarithmic scale to resolve small values.
+
+    Args:
+        axes: The axes.
+        plans: The plans.
+        row: Row of the plan.
+        scenario: The scenario.
+    """
     status, clearance_mm = plans.status[row], 1e3 * plans.clearance[row]
     index = np.arange(len(status))
     line = seam_marks.without_air_moves(clearance_mm, plans)

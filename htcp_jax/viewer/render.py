@@ -1,18 +1,19 @@
 """Pictures and movies of a plan, rendered by MuJoCo off screen.
 
 The arm's capsules, or the convex pieces that are checked in their place, are bodies that are placed at the plan's
-configurations. The cloud, cut open, is one mesh of small discs. The targets are beads coloured by status.
+configurations. The workpiece, cut open where its walls would hide the path, is its own mesh, or small discs at the
+points of a cloud. The targets are beads coloured by status.
 """
 
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from htcp_jax.viewer import drawn_meshes
 from htcp_jax.viewer.arm_pose import ArmPose, moved, seen, together
-from htcp_jax.viewer.camera import camera_pose, kept_points, lowest, middle_root, open_side
+from htcp_jax.viewer.camera import camera_pose, cut_plane, floor_height, kept_points, middle_root, viewpoint_of
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -32,6 +33,7 @@ from htcp_jax.viewer.movie import LAST_REPEATS, Film
 from htcp_jax.viewer.offscreen import Camera
 from htcp_jax.viewer.playback import pose_at, poses_along
 from htcp_jax.viewer.replay import Replay
+from htcp_jax.viewer.viewpoints import Viewpoint
 
 BEAD_M, FAILED_M, TIP_M = 0.008, 0.018, 0.007  # radii of the targets, the failed target, the tool's bare tip
 MARK_M, NOWHERE = 0.012, [0.0] * 4  # radius of a contact point's marker, and its colour if hidden
@@ -56,6 +58,7 @@ class Studio:
         fine: True for smooth edges and shadows; a frame then takes three times as long.
         from_part: True to draw a moving part at rest and cut open; False to draw the world at rest and the part
             complete.
+        side: 0 to look from the best side, 1 from the second.
 
     Raises:
         InputError: If no off-screen OpenGL platform works.
@@ -69,9 +72,11 @@ class Studio:
         close: bool = False,
         fine: bool = True,
         from_part: bool = False,
+        side: int = 0,
     ):
         self._replay, self._close, self._from_part = replay, close, from_part or not replay.robot.part_moves
-        self._model = _model(replay, width, height, fine, self._from_part)
+        self._side = side
+        self._model = _model(replay, width, height, fine, self._from_part, side)
         self._data = mujoco.MjData(self._model)
         self._camera = Camera(self._model)
         self._beads = np.array([self._model.geom(f"target {t}").id for t in range(len(replay.target))])
@@ -144,7 +149,7 @@ class Studio:
         aspect = size.offwidth / size.offheight
         if self._close and len(poses) > 1:
             poses = [pose_at(self._replay, target) for target in range(len(self._replay.target))]
-        how = np.radians(FOVY_DEG), aspect, self._close, self._from_part
+        how = np.radians(FOVY_DEG), aspect, self._close, self._from_part, self._side
         eye, look_at = camera_pose(self._replay, poses, *how)
         ahead = look_at - eye
         camera = mujoco.MjvCamera()
@@ -154,7 +159,7 @@ class Studio:
         return camera
 
 
-def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool) -> mujoco.MjModel:
+def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool, side: int) -> mujoco.MjModel:
     """Return a MuJoCo model of a plan: a body per capsule, and a last body with all objects fixed to the part."""
     spec = mujoco.MjSpec()
     ends, pieces = replay.arm_at(0).axes(), replay.pieces
@@ -183,9 +188,10 @@ def _model(replay: Replay, width: int, height: int, fine: bool, from_part: bool)
         ball = {"type": _Geom.mjGEOM_SPHERE, "size": [MARK_M, 0, 0], "pos": replay.obstruction.point}
         part.add_geom(name="colliding body", **ball, material="bead", rgba=NOWHERE, **UNTOUCHED)
     _add_marks(part, replay)
-    _add_cloud(spec, part, replay, drawn_meshes.CORNERS if fine else FEW_CORNERS, from_part)
+    seen_from = viewpoint_of(replay, from_part, side)
+    _add_part(spec, part, replay, drawn_meshes.CORNERS if fine else FEW_CORNERS, seen_from)
     _add_fixtures(spec, part, replay)
-    _add_surroundings(spec, replay, fine, from_part)
+    _add_surroundings(spec, replay, fine, from_part, seen_from.view.near)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.global_.fovy = FOVY_DEG
     return spec.compile()
@@ -211,11 +217,15 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
     return [(geom, colour, model.geom_rgba[geom].copy()) for geom, colour in zip(geoms, colours, strict=True)]
 
 
-def _add_cloud(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corners: int, cut: bool) -> None:
-    """Add the cloud, or its half behind the cut, as discs that are lighter inside than outside."""
-    surface = replay.surface.only(kept_points(replay)) if cut else replay.surface
+def _add_part(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corners: int, at: Viewpoint) -> None:
+    """Add the workpiece, or its half behind the cut: its own triangles, or discs of a cloud; both sides of them."""
+    near, share = at.view.near, 0.5 if at.cut else 0.0
+    if has_mesh := len(replay.triangles) > 0:
+        kept = drawn_meshes.cut_triangles(replay.triangles, near, cut_plane(replay, share, near))
+    else:
+        surface = replay.surface.only(kept_points(replay, share, near))
     for name, side, colour in (("inside", 1, WALL[1]), ("outside", -1, OUTSIDE)):
-        mesh = drawn_meshes.discs(surface, side, corners)
+        mesh = drawn_meshes.flat_mesh(kept, side) if has_mesh else drawn_meshes.discs(surface, side, corners)
         arrays = {"uservert": mesh.vertices, "usernormal": mesh.normals, "userface": mesh.faces}
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a solid would have no volume
         spec.add_mesh(name=name, inertia=shell, **{key: array.ravel() for key, array in arrays.items()})
@@ -233,20 +243,21 @@ def _add_fixtures(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay) -> 
         part.add_geom(type=_Geom.mjGEOM_MESH, meshname="fixtures", **look, **UNTOUCHED)
 
 
-def _add_surroundings(spec: mujoco.MjSpec, replay: Replay, fine: bool, from_part: bool) -> None:
+def _add_surroundings(
+    spec: mujoco.MjSpec, replay: Replay, fine: bool, from_part: bool, near: Float[np.ndarray, "3"]
+) -> None:
     """Add floor, sky and light."""
     arms = together([seen(pose_at(replay, target), from_part) for target in range(len(replay.target))])
-    cloud, low = moved(replay.cloud, middle_root(replay, from_part)), lowest(replay, from_part)
+    cloud, low = moved(replay.cloud, middle_root(replay, from_part)), floor_height(replay, from_part)
     kind, drawn, mark = mujoco.mjtTexture, mujoco.mjtBuiltin, mujoco.mjtMark
     tiles = {"builtin": drawn.mjBUILTIN_FLAT, "mark": mark.mjMARK_EDGE, "rgb1": FLOOR, "rgb2": FLOOR, "markrgb": EDGE}
     spec.add_texture(name="tiles", type=kind.mjTEXTURE_2D, **tiles, width=512, height=512)
     sky = {"builtin": drawn.mjBUILTIN_FLAT, "rgb1": SKY, "rgb2": SKY}
     spec.add_texture(name="sky", type=kind.mjTEXTURE_SKYBOX, **sky, width=64, height=64)
-    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, emission=0.12)
+    floor = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     plane = {"type": _Geom.mjGEOM_PLANE, "size": [0, 0, 0.1], "pos": [0, 0, low]}
     spec.worldbody.add_geom(**plane, material="floor", **UNTOUCHED)
-    near = open_side(replay, from_part).near
     lamp = spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True)
     lamp.dir = [*-near[:2], -0.9]  # light shines into the open side
     lamp.pos = cloud.mean(axis=0) - 3 * lamp.dir
@@ -256,6 +267,7 @@ def _add_surroundings(spec: mujoco.MjSpec, replay: Replay, fine: bool, from_part
     visual.quality.shadowsize, visual.quality.offsamples = (8192, 8) if fine else (2048, 4)
     visual.quality.numslices, visual.quality.numstacks = (64, 32) if fine else (20, 10)
     visual.map.znear, visual.rgba.haze = 0.01, [*SKY, 1]
+    visual.map.shadowclip = 2  # the floor next to the arm is within the range of shadows, too
     reach = np.ptp(np.concatenate([cloud, arms.p.reshape(-1, 3)]), axis=0)
     spec.stat.extent, spec.stat.center = np.linalg.norm(reach), cloud.mean(axis=0)
 

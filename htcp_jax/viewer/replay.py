@@ -29,13 +29,13 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstruction_module
 from htcp_jax.runs import MotionSummary, PlanSet, open_plans, summarise_motion
 from htcp_jax.spec import PlanConfig
-from htcp_jax.viewer.arm_pose import arms_at, links_at, moved, roots_at
-from htcp_jax.viewer.colours import TargetStyle, is_tool, target_styles, verdict_styles
+from htcp_jax.viewer.arm_pose import ArmPose, arms_at, links_at, moved, roots_at, seen, shown_bodies
+from htcp_jax.viewer.colours import TargetStyle, target_styles, verdict_styles
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
-from htcp_jax.viewer.viewpoints import ShownBodies, ShownScene, Viewpoint, camera_view, camera_view_of
+from htcp_jax.viewer.viewpoints import ShownScene, Viewpoint, camera_views
 from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
 
-VIEW_SAMPLES = 5  # number of configurations that determine the viewpoint
+VIEW_SAMPLES = 3  # number of configurations that determine the viewpoint
 SEGMENT_SAMPLES = 33  # number of samples on a segment for its minimum distance
 
 
@@ -105,8 +105,9 @@ class Replay(NamedTuple):
     segment_status: Int8[np.ndarray, "T"]  # `status.SegmentStatus`
     segment_clearance: Float[np.ndarray, "T"]  # guaranteed clearance along the segment to each target
     obstruction: Obstruction | None  # colliding body at the failed target
-    side: Viewpoint  # viewpoint relative to the part
-    side_in_world: Viewpoint  # viewpoint in the world
+    triangles: Float[np.ndarray, "M 3 3"]  # mesh of the workpiece, world [m]; none for a cloud, which `surface` shows
+    sides: tuple[Viewpoint, Viewpoint]  # viewpoints relative to the part: the best, and one from another side
+    sides_in_world: tuple[Viewpoint, Viewpoint]  # viewpoints in the world
     fixtures: surfaces.WorldGeometry  # other obstacles
     normals: NormalGlyphs  # normals of the path; empty if the task does not refer to them
     file: ShownFile | None = None  # proof of the file from which the motion is; None: it was planned
@@ -210,10 +211,14 @@ class Replays:
         target, status = plans.target[number, there], plans.status[number, there]
         shown = _shown_targets(np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
         path, T_root = target[on_path:] if len(target) > on_path + 1 else target, roots_at(robot, x)
-        side = camera_view(surface.points, path, _bodies(robot, shape, shown))
-        side_in_world = side
+        links, triangles = links_at(robot, x), moved(cell.triangles, placement.T_world_workpiece)
+        arms = [kinematics.ArmShape(*(part[t] for part in shape)) for t in shown]
+        poses = [ArmPose(arm, int(t), False, T_root[t], links[t]) for arm, t in zip(arms, shown, strict=True)]
+        scene = ShownScene(surface.points, path, shown_bodies(robot, [seen(each, True) for each in poses]), triangles)
+        scene = scene._replace(fixtures=cell.fixtures.triangles)
+        sides = sides_in_world = camera_views([scene])
         if robot.part_moves:
-            side_in_world = camera_view_of([_scene_at(surface, path, robot, shape, T_root, t) for t in shown.tolist()])
+            sides_in_world = camera_views([_scene_in_world(scene, robot, each) for each in poses], moves=True)
         return Replay(
             method=method,
             number=number,
@@ -229,7 +234,7 @@ class Replays:
             x=x,
             shape=shape,
             T_root=T_root,
-            links=links_at(robot, x),
+            links=links,
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
@@ -237,8 +242,9 @@ class Replays:
             segment_status=plans.segment_status[number, there],
             segment_clearance=plans.segment_clearance[number, there],
             obstruction=blocked,
-            side=side,
-            side_in_world=side_in_world,
+            triangles=triangles,
+            sides=sides,
+            sides_in_world=sides_in_world,
             fixtures=cell.fixtures,
             normals=glyphs(cell.config.task, cell.workpiece, placement.T_world_workpiece),
             file=self.file,
@@ -334,14 +340,12 @@ def _shown_targets(tracked: np.ndarray, path: int) -> np.ndarray:
     return shown[np.linspace(0, len(shown) - 1, VIEW_SAMPLES).round().astype(int)]
 
 
-def _scene_at(surface: surfaces.Surface, path, robot: Robot, shape, T_root, target: int) -> ShownScene:
-    """Return cloud, path and arm at a target, relative to the world, for a moving part."""
-    T, own = T_root[target], _bodies(robot, shape, np.array([target]))
-    return ShownScene(moved(surface.points, T), moved(path, T), own._replace(p=moved(own.p, T), q=moved(own.q, T)))
-
-
-def _bodies(robot: Robot, shape: kinematics.ArmShape, shown: np.ndarray) -> ShownBodies:
-    return ShownBodies(shape.p[shown], shape.q[shown], np.asarray(robot.capsule_radius), is_tool(robot))
+def _scene_in_world(scene: ShownScene, robot: Robot, pose: ArmPose) -> ShownScene:
+    """Return the scene with a moving part where it is in a pose, relative to the world, and the arm in that pose."""
+    cloud, path, *meshes = (
+        moved(each, pose.T_root) for each in (scene.cloud, scene.path, scene.triangles, scene.fixtures)
+    )
+    return ShownScene(cloud, path, shown_bodies(robot, [seen(pose, False)]), *meshes)
 
 
 def _segment_samples(plans: Plans, target: int | None) -> Float[np.ndarray, "n N"]:

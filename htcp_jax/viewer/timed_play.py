@@ -91,6 +91,14 @@ def frame_times(duration_s: float, speed: float = 1.0) -> Float[np.ndarray, "n"]
     return np.arange(count) * speed / RATE
 
 
+def reached_s(program: Program) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Return the times at which the program has reached targets [s], in order, and the targets; without the retract."""
+    passed = program.at_configurations()
+    leads, back = passed.target + (passed.kind == Kind.DWELL), passed.kind == Kind.RETRACT
+    there = np.append((np.diff(leads) != 0) | back[1:], True) & ~back
+    return passed.time_s[there], leads[there]
+
+
 def _come_to(program: Program, time_s: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     """Return the last target reached at each time; -1 before the first target.
 

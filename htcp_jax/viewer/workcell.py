@@ -16,6 +16,7 @@ from htcp_jax.model import surface as surfaces
 from htcp_jax.runs import Parameters, PlanSet, plan_folder
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.spec import PlanConfig, numbers_of
+from htcp_jax.viewer.drawn_meshes import MOST_TRIANGLES
 
 MOST_CELLS = 8  # maximum number of workcells in memory
 DOT_M = 5e-4  # radius of a dot
@@ -51,11 +52,22 @@ class Workcell:
         """Obstacles other than the workpiece, for drawing."""
         return build.drawn_of(self.config.cell, self.robot)
 
+    @property
+    def triangles(self) -> Float[np.ndarray, "M 3 3"]:
+        """Mesh of the workpiece, in its own frame [m], for drawing; none for a cloud or a very fine mesh."""
+        return shown_triangles(self.workpiece)
+
     @cached_property
     def surface(self) -> surfaces.Surface:
         """Workpiece surface, for drawing; without a cloud, dots on the path."""
         found = surfaces.surface_of(self.workpiece.shown)
         return found if len(self.workpiece.cloud) else found._replace(radius=np.full(len(found.points), DOT_M))
+
+
+def shown_triangles(workpiece: Workpiece) -> Float[np.ndarray, "M 3 3"]:
+    """Return the triangles of a workpiece's mesh that are drawn [m]: all, or none of more than MOST_TRIANGLES."""
+    found = workpiece.triangles
+    return found if len(found) <= MOST_TRIANGLES else found[:0]
 
 
 class RecordedCells:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from htcp_jax.viewer.arm_pose import ArmPose, moved
 from htcp_jax.viewer.browser.scene import BrowserScene
-from htcp_jax.viewer.camera import camera_pose, kept_points, open_side
+from htcp_jax.viewer.camera import camera_pose, open_side
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
@@ -29,6 +29,7 @@ class DisplayOptions:
 
     def __init__(self, server: viser.ViserServer, stage: BrowserScene, lock: threading.RLock):
         self._server, self._stage, self._lock = server, stage, lock
+        self._replay: Replay | None = None
         gui = server.gui
         closer = gui.add_button("Look at the minimum distance", icon=viser.Icon.ZOOM_IN)
         closer.on_click(self._look_closer)
@@ -56,17 +57,19 @@ class DisplayOptions:
         """Show a plan with the panel's settings.
 
         The initial camera, which new browsers and a reset of the view use, has the workpiece and the arm in all poses
-        in view. A moving part is not cut at first.
+        in view. At first, a moving part is not cut, and another one only if its walls would hide the path.
 
         Args:
             replay: The plan.
             poses: The arm's poses during the motion.
         """
-        self._replay, self._poses = replay, poses
+        is_first, self._replay, self._poses = self._replay is None, replay, poses
         self._folder.visible = replay.file is None or replay.file.has_part
         self._stage.show(replay, self._opacity.value / 100)
-        if replay.robot.part_moves and not self._from_part.visible:
+        moves_now = replay.robot.part_moves and not self._from_part.visible
+        if moves_now or (is_first and not replay.sides[0].cut):
             self._side.value = "nothing"
+        self._size.visible = not len(replay.triangles)
         self._from_part.visible = replay.robot.part_moves
         self._stage.show_smallest_distance(self._pair.value)
         self._stage.show_marks(self._marks.value)
@@ -92,7 +95,7 @@ class DisplayOptions:
             replay, directions = self._replay, {"above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
             near = directions.get(self._side.value, open_side(replay).near)
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
-            self._stage.cut(replay.surface.only(kept_points(replay, share, near)), near, self._size.value / 1e3)
+            self._stage.cut(share, near, self._size.value / 1e3)
 
     def _look_closer(self, event: viser.GuiEvent) -> None:
         with self._lock:

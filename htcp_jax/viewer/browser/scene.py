@@ -11,9 +11,8 @@ import trimesh
 import viser
 from jaxtyping import Float
 
-from htcp_jax.model import surface as surfaces
 from htcp_jax.viewer.arm_pose import ArmPose, seen
-from htcp_jax.viewer.camera import lowest
+from htcp_jax.viewer.camera import cut_plane, floor_height, kept_points
 from htcp_jax.viewer.colours import (
     DWELL,
     FAILED,
@@ -29,7 +28,7 @@ from htcp_jax.viewer.colours import (
     is_tool,
     rgb,
 )
-from htcp_jax.viewer.drawn_meshes import rounded_hull
+from htcp_jax.viewer.drawn_meshes import cut_triangles, flat_mesh, rounded_hull
 from htcp_jax.viewer.playback import pose_at
 from htcp_jax.viewer.replay import Replay
 
@@ -56,6 +55,7 @@ class BrowserScene:
         self._replay: Replay | None = None
         self._from_part = False
         self._shown: ArmPose | None = None
+        self._walls: list[viser.MeshHandle] = []  # the workpiece's triangles, if it has some
 
     @property
     def from_part(self) -> bool:
@@ -83,7 +83,7 @@ class BrowserScene:
         """
         with self._server.atomic():
             self._scene.reset()
-            self._replay = replay
+            self._replay, self._walls = replay, []
             self._part = self._scene.add_frame(PART, show_axes=False)
             self._arm = [self._body(k, opacity) for k in range(replay.shape.p.shape[1] + 1)]
             self._add_targets()
@@ -106,7 +106,7 @@ class BrowserScene:
             self.pose(0)
 
     def _add_fixtures(self) -> None:
-        triangles, clouds = self._replay.fixtures
+        triangles, clouds, _ = self._replay.fixtures
         if len(triangles):
             faces = np.arange(3 * len(triangles)).reshape(-1, 3)
             look = {"color": compensated(FIXTURE), "opacity": 0.5, "flat_shading": True, "side": "double"}
@@ -165,14 +165,19 @@ class BrowserScene:
         """Text at the pair of nearest points."""
         return self._label.text
 
-    def cut(self, surface: surfaces.Surface, near: Vector, size_m: float) -> None:
-        """Draw the points of the cloud that remain after a cut.
+    def cut(self, share: float, near: Vector, size_m: float) -> None:
+        """Draw what remains of the workpiece after a cut: its own triangles, or the points of a cloud.
 
         Args:
-            surface: The remaining points and their normals.
+            share: Share of the workpiece's extent that is removed.
             near: Unit direction to the open side, from which the light comes.
-            size_m: Size of a point.
+            size_m: Size of a cloud's point.
         """
+        replay = self._replay
+        if len(replay.triangles):
+            self._add_walls(cut_triangles(replay.triangles, near, cut_plane(replay, share, near)))
+            return
+        surface = replay.surface.only(kept_points(replay, share, near))
         light = near + np.array([0, 0, LIGHT_UP])
         slope = np.abs(surface.normals @ (light / np.linalg.norm(light)))[:, None]
         inside = (surface.normals @ light > 0)[:, None]  # True for points whose inner side faces the light
@@ -181,6 +186,19 @@ class BrowserScene:
             f"{PART}/cloud", surface.points, colours.astype(np.uint8), point_size=size_m, point_shape="circle",
             point_shading="flat", precision="float32",
         )  # fmt: skip
+
+    def _add_walls(self, triangles: Float[np.ndarray, "F 3 3"]) -> None:
+        """Draw triangles of the workpiece in place of the former ones: both of their sides."""
+        for node in self._walls:
+            node.remove()
+        sides = (("outside", 1, WALL[1]), ("inside", -1, OUTSIDE)) if len(triangles) else ()
+        meshes = [(name, flat_mesh(triangles, side), colour) for name, side, colour in sides]
+        self._walls = [
+            self._scene.add_mesh_simple(
+                f"{PART}/walls/{name}", mesh.vertices, mesh.faces, color=compensated(colour), flat_shading=True
+            )
+            for name, mesh, colour in meshes
+        ]
 
     def fade(self, opacity: float) -> None:
         """Set the opacity of the arm."""
@@ -268,8 +286,8 @@ class BrowserScene:
         return marks
 
     def _add_floor(self) -> None:
-        """Add a floor grid below all objects, at most at height 0."""
-        height = lowest(self._replay, self.from_part)
+        """Add a grid on the floor, see `floor_height`."""
+        height = floor_height(self._replay, self.from_part)
         self._scene.add_grid(
             "/floor", infinite_grid=True, fade_distance=12, position=(0, 0, height), cell_color=rgb("#dfe3e6"),
             section_color=rgb("#c3cad0"), shadow_opacity=0.12,

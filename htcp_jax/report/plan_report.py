@@ -1,0 +1,170 @@
+"""Report of one plan, for somebody who was not there: one page with pictures, charts, tables and assumptions."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from htcp_jax.clearance import Obstacles
+from htcp_jax.errors import InputError
+from htcp_jax.motion import motion
+from htcp_jax.report import plan_notes, plan_tables, program_facts
+from htcp_jax.report.charts.along_plan import AlongPlan, along_plan
+from htcp_jax.report.document import Block, Heading, Picture, Table
+from htcp_jax.report.plan_tables import fact_table
+from htcp_jax.report.report import Report
+from htcp_jax.runs import SeamOrder
+from htcp_jax.spec import ToolAxisRow
+from htcp_jax.trajectory import PlanProgram, ProgramFigures, program_figures, program_of_plans, requested_feeds
+from htcp_jax.viewer import PlannedJob, Replay, Studio, replays_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIZE = 800, 600  # of a picture [pixels]; two are next to each other
+GLANCE = "can be run", "seams", "guaranteed clearance", "transfer margin", "work angle", "travel angle", "spin"
+PROVENANCE = "device", "dtype", "commit"
+
+
+class ReportedPlan(PlannedJob, Protocol):
+    """Interface of a plan with its results, such as `api.Plan`."""
+
+    obstacles: Obstacles
+    order: SeamOrder | None
+    complete: bool
+    workpiece_place: str
+    manipulability: Float[np.ndarray, "T"]
+    tool_angles: Float[np.ndarray, "T 3"] | None
+    tool_axis_rows: list[tuple[int, ToolAxisRow]]
+
+    def facts(self) -> dict[str, str]:
+        """Return the results as text by label."""
+        ...
+
+    def failure(self) -> dict[str, str]:
+        """Return the reasons of a failure as text by label; empty if the plan is complete."""
+        ...
+
+    def figure(self) -> "Figure":
+        """Draw the plan."""
+        ...
+
+
+def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any], feed: str | None = None) -> Report:
+    """Make the report of one plan.
+
+    Args:
+        plan: The plan.
+        folder: Its folder.
+        made_by: Contents of its summary.json, for versions and files.
+        feed: Feed rate of the TCP on the path; None: of the seams, or the job.
+
+    Raises:
+        InputError: If `feed` is not a valid feed rate.
+    """
+    names, facts = plan_tables.seam_names(plan.job), plan.facts()
+    made, untimed = _program(plan, folder, feed)
+    figures = None if made is None else program_figures(made.program, made.limits)
+    timed = {} if figures is None else program_facts.facts_of(figures, made.seam_feeds)
+    glance = {key: facts[key] for key in GLANCE if key in facts} | plan.failure()
+    glance |= {key: timed[key] for key in ("duration", "feed") if key in timed}
+    blocks: list[Block] = [Heading(1, f"Plan: {plan}"), fact_table("glance", glance, "result")]
+    blocks += _pictures(plan, str(folder))
+    blocks += [Heading(2, "Along the path"), *_along(plan, made, names)]
+    blocks += [Heading(2, "Cycle time"), *([untimed] if made is None else _timing(plan, made, figures, names))]
+    blocks += [Heading(2, "The program"), *([untimed] if made is None else _program_blocks(made, figures, timed))]
+    blocks += [Heading(2, "What was assumed"), *_assumed(plan, made)]
+    unchecked = plan_notes.not_checked(plan.job, plan.robot, plan.obstacles, made, facts, folder)
+    blocks += [Heading(2, "What is not checked"), fact_table("not_checked", unchecked, "not checked")]
+    others = {key: text for key, text in facts.items() if key not in glance and key != "planning time"}
+    blocks += [Heading(2, "Other results"), fact_table("results", others)]
+    blocks += [Heading(2, "What was run"), *_what_was_run(made_by)]
+    return Report((), (), tuple(blocks), tuple(block for block in blocks if isinstance(block, Table)))
+
+
+def _program(plan: ReportedPlan, folder: Path, feed: str | None) -> tuple[PlanProgram | None, str]:
+    """Return the robot program, or None and the reason why there is none."""
+    if not plan.complete:
+        return None, "The plan does not lead to its last target, so there is no program."
+    if (
+        feed is None
+        and plan.job.program.feed is None
+        and any(s.feed is None for s in plan.job.workpiece.seams or (plan.job.program,))
+    ):
+        return None, "Not timed: no feed rate is known. Pass --feed 20mm/s, or set program.feed in the job."
+    feeds = requested_feeds(feed, plan.job)
+    try:
+        return program_of_plans(str(folder), plan.plans, 0, plan.job, feeds, plan.job.method), ""
+    except InputError as error:
+        return None, f"Not timed: {error}."
+
+
+def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
+    """Return pictures from two sides, each of the whole arm and close up; without OpenGL, the picture of the plan."""
+    replay = replays_of(name, plan).replay(0, plan.job.method)
+    at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
+    try:
+        pictures = [each for side in (0, 1) for each in _side(replay, side, at)]
+    except InputError as error:
+        return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
+    cut = " The half of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
+    note = f"The arm at target {at} of {len(replay.target) - 1}, from two sides, with the path in blue.{cut}"
+    return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
+
+
+def _side(replay: Replay, side: int, at: int) -> list[Picture]:
+    """Return pictures of the whole arm and of the workpiece close up, which are next to each other."""
+    pictures = []
+    for name, close in (("arm", False), ("close", True)):
+        with Studio(replay, *SIZE, close=close, side=side) as studio:
+            image = Image.fromarray(studio.still(at))
+        what = "The workpiece close up" if close else "The arm"
+        pictures.append(Picture(f"{name}-{side + 1}", image, f"{what} at target {at}, from side {side + 1}", half=True))
+    return pictures
+
+
+def _along(plan: ReportedPlan, made: PlanProgram | None, names: list[str]) -> list[Block]:
+    angles = None if plan.tool_angles is None else (plan.tool_axis_rows, plan.tool_angles)
+    shown = AlongPlan(plan.plans, plan.scenario, () if plan.order is None else names, angles, made)
+    blocks: list[Block] = [Picture("along-path", along_plan(shown), "Clearance, angles and speed over the targets")]
+    if angles is not None:
+        blocks.append(plan_tables.angle_table(*angles, names))
+    return blocks if plan.order is None else [*blocks, plan_tables.seam_table(plan.order, made)]
+
+
+def _timing(plan: ReportedPlan, made: PlanProgram, found: ProgramFigures, names: list[str]) -> list[Block]:
+    blocks: list[Block] = [plan_tables.phase_table(made, names)]
+    if found.drops:
+        table = program_facts.drop_table(found, plan.manipulability)
+        blocks += ["Where the TCP is slower than the feed; stop: the arm starts or stops there.", table]
+    return blocks
+
+
+def _program_blocks(made: PlanProgram, found: ProgramFigures, timed: dict[str, str]) -> list[Block]:
+    torque = program_facts.torque_text(made.peak_torque)
+    facts = {**timed, **program_facts.near_part(made.job), "torque": torque}
+    return [fact_table("program", facts), plan_tables.format_table(made)]
+
+
+def _assumed(plan: ReportedPlan, made: PlanProgram | None) -> list[Block]:
+    known = plan_notes.assumptions(plan.job, plan.robot, plan.workpiece, plan.workpiece_place)
+    if made is not None:
+        feeds = ", ".join(f"{1e3 * feed:g} mm/s on {name}" for name, feed in made.seam_feeds.items())
+        known["required feed"] = feeds or f"{1e3 * made.program.feed_m_s:g} mm/s"
+    x = motion.motion(plan.plans, 0, int(plan.scenario.on_path)).x
+    blocks: list[Block] = [fact_table("assumed", known, "assumption")]
+    if not len(x):
+        return blocks
+    source = "Ranges of the joints." if made is None else plan_tables.limit_sources(made)
+    return [*blocks, source, plan_tables.joint_table(plan.robot, x, made)]
+
+
+def _what_was_run(made_by: Mapping[str, Any]) -> list[Block]:
+    versions = ", ".join(f"{name} {version}" for name, version in (made_by.get("versions") or {}).items() if version)
+    facts = {"method": str(made_by["method"]), "versions": versions}
+    facts |= {key: str(made_by[key]) for key in PROVENANCE if made_by.get(key)}
+    facts |= {f"SHA-256 of {Path(name).name}": str(known)[:16] for name, known in made_by["files"].items()}
+    return [fact_table("what_was_run", facts)]
