@@ -1,5 +1,7 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
+from .error_scale import ErrorScale, error_scale
+from .error_set import error_set, scale_text
 from .file_proof import FileProof, motion_curves, prove_file
 from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
@@ -8,6 +10,7 @@ from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
     "Contact",
+    "ErrorScale",
     "FileProof",
     "JointCurves",
     "MotionProof",
@@ -16,6 +19,8 @@ __all__ = [
     "corners",
     "deepest_contact",
     "deepest_contacts",
+    "error_scale",
+    "error_set",
     "motion_curves",
     "polynomials",
     "proof_record",
@@ -24,6 +29,7 @@ __all__ = [
     "prove_file",
     "prove_program",
     "prove_with_exact_corners",
+    "scale_text",
     "scene_of",
     "straight",
 ]

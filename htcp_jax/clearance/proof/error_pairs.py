@@ -1,0 +1,486 @@
+"""Pairs of a body and a feature that decide up to which scale errors cause no contact, see `error_bound`.
+
+All pairs are found whose clearance at an interval's middle is at most the largest displacement of both sides: points of
+clouds by a tree, solids and other bodies by bounding boxes and balls. All others have the largest scale to return. For
+a body with a convex piece, both its capsule and its piece enclose the mesh, so the larger scale counts.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float, Int
+
+from htcp_jax.clearance.distance import gjk
+from htcp_jax.clearance.distance.solids import Cylinder, HalfSpace, Polyhedron, Rod
+from htcp_jax.clearance.obstacles.cloud import Cloud
+from htcp_jax.clearance.obstacles.fixtures import CUBE, Fixtures, _prism
+from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacle, bodies_at
+from htcp_jax.clearance.obstacles.of_cell import PlacedCloud
+from htcp_jax.clearance.obstacles.of_workpiece import Interior
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision
+from htcp_jax.clearance.proof.error_bound import (
+    NOTHING,
+    ErrorSet,
+    Levers,
+    Pairs,
+    Places,
+    largest_moves,
+    levers_of,
+    scales,
+)
+from htcp_jax.model import Robot, kinematics
+
+BALLS = 64  # maximum number of balls that cover a body for the search among points
+NUMBERS = 1 << 21  # entries of the largest table of a bound; more pairs are bounded in portions
+ROWS = 256  # smallest number of pairs whose normals are computed together
+UNKNOWN = np.full(3, np.nan)
+
+
+class Limits(NamedTuple):
+    """The smallest scales found, one row for each pair or body that may limit them."""
+
+    place: Int[np.ndarray, "P"]
+    scale: Float[np.ndarray, "P"]  # [1]
+    body: Int[np.ndarray, "P"]
+    obstacle: Int[np.ndarray, "P"]  # number of the obstacle
+
+
+@dataclass(frozen=True)
+class ErrorScene:
+    """A robot, its obstacles in one scenario, and the errors, for `limits_at`."""
+
+    robot: Robot  # with the scenario's tool
+    obstacles: tuple[Obstacle, ...]
+    where: HasWorkpiecePose
+    errors: ErrorSet
+
+    @cached_property
+    def clouds(self) -> dict[int, "_Points"]:
+        """Points of all clouds by the obstacle's number, in the root's frame."""
+        robot, found = self.robot, {}
+        links = np.array(robot.capsule_link)
+        for number, each in enumerate(self.obstacles):
+            if isinstance(each, Cloud):
+                is_checked = links >= 0 if robot.part_moves else np.ones(len(links), bool)
+                found[number] = _Points.of(each, np.asarray(self.where.T_world_workpiece), is_checked, True)
+            elif isinstance(each, PlacedCloud):
+                is_checked = (links >= 0) & ~np.isin(links, each.excluded)
+                found[number] = _Points.of(each.cloud, np.asarray(each.T_world), is_checked, False)
+        return found
+
+    @cached_property
+    def solids(self) -> dict[int, list["_Solid"]]:
+        """Solids of the cell by the obstacle's number."""
+        return {k: list(_solids(each)) for k, each in enumerate(self.obstacles) if isinstance(each, Fixtures)}
+
+    @cached_property
+    def ends(self) -> Float[np.ndarray, "K 2 3"]:
+        """Both ends of each capsule's axis, in its link's frame [m]."""
+        return np.stack([np.asarray(self.robot.capsule_p), np.asarray(self.robot.capsule_q)], axis=1)
+
+    @cached_property
+    def has_piece(self) -> Bool[np.ndarray, "K"]:
+        """True for bodies with a convex piece."""
+        count = len(self.robot.capsule_link)
+        return np.zeros(count, bool) if self.robot.pieces is None else np.asarray(self.robot.pieces.excess_m) > 0
+
+    @cached_property
+    def pieces(self) -> tuple[Float[np.ndarray, "K V 3"], Float[np.ndarray, "K"], Float[np.ndarray, "K D 4"]]:
+        """Vertices and radius of each body's piece [m], and the planes about it, in its link's frame."""
+        own = self.robot.pieces
+        return np.asarray(own.piece.vertices), np.asarray(own.piece.radius), np.asarray(own.planes)
+
+    def places(self, x, rates, turns, rest) -> Places:
+        """Return intervals with their links' frames, see `Places`."""
+        count = len(x)
+        most = _padded_count(count)
+        T = np.asarray(_link_poses(self.robot, jnp.asarray(np.resize(x, (most, x.shape[1])))))[:count]
+        root = np.broadcast_to(np.eye(4), (count, 1, 4, 4))
+        return Places(x, rates, turns, rest, np.concatenate([T, root], axis=1))
+
+
+class _Points(NamedTuple):
+    points: Float[np.ndarray, "P 3"]  # in the root's frame [m]
+    cover: float  # radius about each point [m]
+    tree: scipy.spatial.cKDTree
+    is_checked: Bool[np.ndarray, "K"]
+    of_part: bool
+
+    @classmethod
+    def of(cls, cloud: Cloud, T: Float[np.ndarray, "4 4"], is_checked: Bool[np.ndarray, "K"], of_part: bool):
+        points = np.asarray(cloud.points) @ T[:3, :3].T + T[:3, 3]
+        return cls(points, float(cloud.cover), scipy.spatial.cKDTree(points), is_checked, of_part)
+
+
+class _Solid(NamedTuple):
+    number: int  # row of `Fixtures.is_checked`
+    corners: Float[np.ndarray, "V 3"]  # of the solid, or of a prism about a cylinder [m]
+    radius: float  # about the corners [m]
+    plane: Float[np.ndarray, "4"] | None = None  # normal and offset of a half-space
+    cylinder: Cylinder | None = None
+
+    def height(self, normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
+        """Return the largest n.b of the solid's points [m]."""
+        if self.cylinder is None:
+            return (normal @ self.corners.T).max(axis=1) + self.radius
+        own, across = self.cylinder, normal @ np.asarray(self.cylinder.rotation)
+        round_ = float(own.radius) * np.hypot(across[:, 0], across[:, 1])
+        return normal @ np.asarray(own.centre) + round_ + float(own.half) * np.abs(across[:, 2])
+
+
+def limits_at(scene: ErrorScene, places: Places, margin_m: float, most: float) -> Limits:
+    """Return the smallest scales in each interval; an interval without a row has at least `most`.
+
+    Args:
+        scene: The scene.
+        places: The intervals.
+        margin_m: Required clearance [m].
+        most: Largest scale to return [1].
+    """
+    ends = _placed(scene, places, scene.ends)
+    levers = levers_of(scene.robot, places)
+    moves = largest_moves(scene.robot, scene.errors, places, levers, ends, most) + margin_m + NOTHING
+    here = _Here(scene, places, levers, ends, moves, margin_m, most)
+    found = []
+    for number, each in enumerate(scene.obstacles):
+        if number in scene.clouds:
+            found.append(here.by_points(number, scene.clouds[number]))
+        elif number in scene.solids:
+            found.append(here.by_solids(number, each, scene.solids[number]))
+        elif isinstance(each, SelfCollision):
+            found.append(here.by_bodies(number, each))
+        elif isinstance(each, Interior):
+            found.append(here.by_interior(number, each))
+        else:
+            found.append(here.by_distance(number, each))
+    return Limits(*map(np.concatenate, zip(*found, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Here:
+    """The bodies in n intervals."""
+
+    scene: ErrorScene
+    at: Places
+    levers: Levers
+    ends: Float[np.ndarray, "n K 2 3"]  # of the capsules' axes at the middles [m]
+    moves: Float[np.ndarray, "n K"]  # margin, and largest displacement of each body's points [m]
+    margin_m: float
+    most: float
+
+    @property
+    def radius(self) -> Float[np.ndarray, "K"]:
+        return np.asarray(self.scene.robot.capsule_radius)
+
+    def by_points(self, number: int, own: _Points) -> Limits:
+        """Return the limits by a cloud."""
+        errors, most = self.scene.errors, self.most
+        reach = self.moves
+        if own.of_part:
+            far = np.linalg.norm(own.points - errors.part_about_m, axis=1).max()
+            part = np.linalg.norm(errors.part_shift_m) + np.linalg.norm(errors.part_turn_rad) * far + errors.cloud_m
+            reach = reach + most * part
+        place, body, row = self._points_near(own, reach + own.cover + self.radius)
+        ends, point = self.ends[place, body], own.points[row]
+        apart = _on_axis(ends, point) - point
+        away = np.linalg.norm(apart, axis=1)
+        near = away - self.radius[body] - own.cover <= reach[place, body]
+        piece = near & self.scene.has_piece[body]
+        if piece.any():  # points near the capsule, but not near the piece
+            near[piece] &= self._over_pieces(place[piece], body[piece], point[piece])[0] - own.cover <= reach[
+                place[piece], body[piece]
+            ]
+        place, body, point, apart, away = (each[near] for each in (place, body, point, apart, away))
+        normal = apart / np.maximum(away, 1e-300)[:, None]
+        known = point if own.of_part else np.broadcast_to(UNKNOWN, point.shape)
+
+        def bounded(rows, normal, is_piece):
+            height = np.einsum("pi,pi->p", normal, point[rows]) + own.cover
+            return self._scales(number, place[rows], body[rows], normal, height, is_piece, point=known[rows])
+
+        found = bounded(np.arange(len(place)), normal, False)
+        rows = np.flatnonzero(self.scene.has_piece[body] & (found < most))
+        if len(rows):
+            _, outward = self._over_pieces(place[rows], body[rows], point[rows])
+            corners = self._piece_corners(place[rows], body[rows])
+            for normal in (-outward, normals_between(corners, point[rows][:, None])):
+                found[rows] = np.maximum(found[rows], bounded(rows, normal, True))
+        return self._limits(number, place, body, found)
+
+    def by_solids(self, number: int, own: Fixtures, solids: Sequence[_Solid]) -> Limits:
+        """Return the limits by solids of the cell."""
+        low, high = self.ends.min(axis=2), self.ends.max(axis=2)
+        is_checked, parts = np.asarray(own.is_checked), []
+        for solid in solids:
+            if solid.plane is not None:
+                away = (self.ends @ solid.plane[:3]).min(axis=2) - solid.plane[3]
+            else:
+                least, largest = solid.corners.min(axis=0) - solid.radius, solid.corners.max(axis=0) + solid.radius
+                away = np.linalg.norm(np.maximum(np.maximum(least - high, low - largest), 0.0), axis=2)
+            near = (away - self.radius <= self.moves) & is_checked[solid.number]
+            place, body = np.nonzero(near)
+            if not len(place):
+                continue
+            parts.append(self._limits(number, place, body, self._by_solid(number, solid, place, body)))
+        return _joined(parts)
+
+    def _by_solid(self, number: int, solid: _Solid, place, body) -> Float[np.ndarray, "P"]:
+        found = np.zeros(len(place))
+        for is_piece in (False, True):
+            rows = np.flatnonzero(self.scene.has_piece[body] & (found < self.most)) if is_piece else np.arange(len(body))
+            if not len(rows):
+                continue
+            if solid.plane is not None:
+                normal = np.broadcast_to(solid.plane[:3], (len(rows), 3))
+                height = np.full(len(rows), solid.plane[3])
+            else:
+                corners = self._corners(place[rows], body[rows], is_piece)[0]
+                normal = normals_between(corners, np.broadcast_to(solid.corners, (len(rows), *solid.corners.shape)))
+                height = solid.height(normal)
+            new = self._scales(number, place[rows], body[rows], normal, height, is_piece)
+            found[rows] = np.maximum(found[rows], new)
+        return found
+
+    def by_bodies(self, number: int, own: SelfCollision) -> Limits:
+        """Return the limits by the arm's own bodies."""
+        link, parts = np.array(self.scene.robot.capsule_link), []
+        middle = self.ends.mean(axis=2)
+        half = 0.5 * np.linalg.norm(self.ends[0, :, 1] - self.ends[0, :, 0], axis=1) + self.radius
+        for first, second in own.pairs:
+            away = np.linalg.norm(middle[:, first] - middle[:, second], axis=1) - half[first] - half[second]
+            near = np.flatnonzero(away <= self.moves[:, first] + self.moves[:, second])
+            if len(near):
+                body, other = np.full(len(near), first), np.full(len(near), second)
+                parts.append(self._limits(number, near, body, self._by_body(number, near, body, other, link[second])))
+        return _joined(parts)
+
+    def _by_body(self, number: int, place, body, other, link: int) -> Float[np.ndarray, "P"]:
+        found = np.zeros(len(place))
+        has_piece = bool(self.scene.has_piece[[body[0], other[0]]].any())
+        for is_piece in (False, True) if has_piece else (False,):
+            rows = np.flatnonzero(found < self.most)
+            if not len(rows):
+                break
+            corners, _ = self._corners(place[rows], body[rows], is_piece)
+            others, radius = self._corners(place[rows], other[rows], is_piece)
+            normal = normals_between(corners, others)
+            height = np.einsum("pvi,pi->pv", others, normal).max(axis=1) + radius
+            new = self._scales(
+                number, place[rows], body[rows], normal, height, is_piece, other=link, other_body=other[rows]
+            )
+            found[rows] = np.maximum(found[rows], new)
+        return found
+
+    def by_interior(self, number: int, own: Interior) -> Limits:
+        """Return the limits by the interior rule: each end is in front of the interior's plane, or in the hull."""
+        errors, where = self.scene.errors, self.scene.where
+        plane = np.asarray(where.interior_plane)
+        if not np.isfinite(plane).all():
+            return _joined([])
+        far = np.linalg.norm(self.ends - errors.part_about_m, axis=3)
+        part = np.linalg.norm(errors.part_shift_m) * (1 + self.most * np.linalg.norm(errors.part_turn_rad))
+        reach = self.moves[:, :, None] + self.most * (part + np.linalg.norm(errors.part_turn_rad) * far)
+        before = plane[3] - self.ends @ plane[:3]
+        place, body, end = np.nonzero(before <= reach)
+        if not len(place):
+            return _joined([])
+        T = np.asarray(where.T_world_workpiece)
+        outward = np.asarray(own.hull.normal) @ T[:3, :3].T
+        offset = np.asarray(own.hull.offset) + outward @ T[:3, 3]
+        by_plane = self._by_sides(number, place, body, end, np.tile(-plane[:3], (len(place), 1)), -before[place, body, end])
+        open_ = np.flatnonzero(by_plane < self.most)
+        in_hull = np.full(len(place), self.most)
+        size = max(1, NUMBERS // max(1, len(offset)))
+        for rows in (open_[k : k + size] for k in range(0, len(open_), size)):
+            depth = offset - self.ends[place[rows], body[rows], end[rows]] @ outward.T
+            pair, facet = np.nonzero(depth <= reach[place[rows], body[rows], end[rows]][:, None])
+            near = rows[pair]
+            new = self._by_sides(number, place[near], body[near], end[near], -outward[facet], -depth[pair, facet])
+            np.minimum.at(in_hull, near, new)
+        return self._limits(number, place, body, np.maximum(by_plane, in_hull))
+
+    def _by_sides(self, number: int, place, body, end, normal, less_m) -> Float[np.ndarray, "P"]:
+        """Return the scales of ends that are -`less_m` beyond planes of the part [m]."""
+        corner = self.ends[place, body, end]
+        height = np.einsum("pi,pi->p", normal, corner) + less_m
+        return self._bounded(number, place, body, corner[:, None], np.zeros(len(place)), normal, height, is_side=True)
+
+    def by_distance(self, number: int, own: Obstacle) -> Limits:
+        """Return the limits by an obstacle of which only distances are known."""
+        rows, count = own.rows(self.scene.robot), len(self.at.x)
+        most = _padded_count(count)
+        x = jnp.asarray(np.resize(self.at.x, (most, self.at.x.shape[1])))
+        free = np.asarray(_free_radii(own, self.scene.robot, self.scene.where, x))[:count]
+        bodies, others = np.array(rows.body), np.array(rows.other)
+        place, row = np.nonzero(free <= 2 * self.moves.max())
+        corners = self.ends[place, bodies[row]]
+        normal, radius = np.broadcast_to(UNKNOWN, (len(place), 3)), np.zeros(len(place))
+        found = self._bounded(
+            number, place, bodies[row], corners, radius, normal, free[place, row], other=others[row]
+        )
+        return self._limits(number, place, bodies[row], found)
+
+    def _limits(self, number: int, place, body, scale) -> Limits:
+        kept = scale < self.most
+        return Limits(place[kept], scale[kept], body[kept], np.full(int(kept.sum()), number))
+
+    def _scales(self, number: int, place, body, normal, height, is_piece: bool, **more) -> Float[np.ndarray, "P"]:
+        """Return the scales of pairs, with the bodies' capsules or pieces, in portions."""
+        corners = 2 if not is_piece else max(2, self.scene.pieces[0].shape[1])
+        size, found = max(1, NUMBERS // (9 * corners * len(self.scene.robot.slides))), np.zeros(len(place))
+        for first in range(0, len(place), size):
+            rows = slice(first, first + size)
+            own = {name: each if np.ndim(each) == 0 else each[rows] for name, each in more.items()}
+            shape = self._corners(place[rows], body[rows], is_piece)
+            found[rows] = self._bounded(number, place[rows], body[rows], *shape, normal[rows], height[rows], **own)
+        return found
+
+    def _bounded(
+        self, number: int, place, body, corners, radius, normal, height, point=None, other=-1, other_body=-1, is_side=False
+    ) -> Float[np.ndarray, "P"]:
+        count = len(place)
+        point = np.broadcast_to(UNKNOWN, (count, 3)) if point is None else point
+        other, other_body, side = (np.broadcast_to(each, count) for each in (other, other_body, is_side))
+        known = (normal, height, point, side, other_body, np.full(count, number))
+        pairs = Pairs(place, body, other, corners, radius, *known)
+        scene = self.scene
+        return scales(scene.robot, scene.errors, self.at, self.levers, pairs, self.margin_m, self.most)
+
+    def _corners(self, place, body, is_piece: bool) -> tuple[Float[np.ndarray, "P V 3"], Float[np.ndarray, "P"]]:
+        """Return corners of bodies and the radius about them [m]; capsules of bodies without a piece."""
+        if not is_piece:
+            return self.ends[place, body], self.radius[body]
+        own = self._piece_corners(place, body)
+        has_piece = self.scene.has_piece[body]
+        axis = self.ends[place, body][:, np.arange(own.shape[1]) % 2]
+        corners = np.where(has_piece[:, None, None], own, axis)
+        return corners, np.where(has_piece, self.scene.pieces[1][body], self.radius[body])
+
+    def _piece_corners(self, place, body) -> Float[np.ndarray, "P V 3"]:
+        T = self.at.T[place, np.array(self.scene.robot.capsule_link)[body]]
+        return np.einsum("pij,pvj->pvi", T[:, :3, :3], self.scene.pieces[0][body]) + T[:, None, :3, 3]
+
+    def _over_pieces(self, place, body, point) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P 3"]]:
+        """Return the heights of points over pieces [m], and the outward normals of the planes with these heights."""
+        T = self.at.T[place, np.array(self.scene.robot.capsule_link)[body]]
+        own = np.einsum("pji,pj->pi", T[:, :3, :3], point - T[:, :3, 3])
+        best, normal = np.full(len(place), -np.inf), np.zeros((len(place), 3))
+        for k in range(self.scene.pieces[2].shape[1]):
+            plane = self.scene.pieces[2][body, k]
+            height = np.einsum("pi,pi->p", plane[:, :3], own) - plane[:, 3]
+            normal = np.where((height > best)[:, None], plane[:, :3], normal)
+            best = np.maximum(best, height)
+        return best, np.einsum("pij,pj->pi", T[:, :3, :3], normal)
+
+    def _points_near(self, own: _Points, reach: Float[np.ndarray, "n K"]):
+        """Return the interval, body and row of all points within `reach` of the bodies' axes, and some others."""
+        p, q = self.ends[:, :, 0], self.ends[:, :, 1]
+        length = np.linalg.norm(q - p, axis=2)
+        away = own.tree.query(0.5 * (p + q))[0]
+        place, body = np.nonzero(own.is_checked & (away <= 0.5 * length + reach))
+        if not len(place):
+            return (np.zeros(0, int),) * 3
+        p, q, length, reach = (each[place, body] for each in (p, q, length, reach))
+        count = np.clip(np.ceil(2 * length / np.maximum(reach, 1e-6)), 1, BALLS).astype(int)
+        pair = np.repeat(np.arange(len(place)), count)
+        nth = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+        centre = p[pair] + ((nth + 0.5) / count[pair])[:, None] * (q - p)[pair]
+        size = np.hypot(reach[pair], 0.5 * (length / count)[pair])
+        pair = np.concatenate([pair, np.tile(np.arange(len(place)), 2)])
+        centre, size = np.concatenate([centre, p, q]), np.concatenate([size, reach, reach]) + NOTHING
+        hits = own.tree.query_ball_point(centre, size, return_sorted=False)
+        counts = np.fromiter(map(len, hits), int, len(hits))
+        rows = np.fromiter((row for hit in hits for row in hit), int, int(counts.sum()))
+        key = np.unique(np.repeat(pair, counts) * len(own.points) + rows)
+        pair, row = np.divmod(key, len(own.points))
+        return place[pair], body[pair], row
+
+
+def _placed(scene: ErrorScene, places: Places, corners: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "n K V 3"]:
+    T = places.T[:, np.array(scene.robot.capsule_link)]
+    return np.einsum("nkij,kvj->nkvi", T[..., :3, :3], corners) + T[:, :, None, :3, 3]
+
+
+def _on_axis(ends: Float[np.ndarray, "P 2 3"], point: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+    """Return the points of axes that are nearest to points [m]."""
+    d = ends[:, 1] - ends[:, 0]
+    along = np.einsum("pi,pi->p", point - ends[:, 0], d) / np.maximum(np.einsum("pi,pi->p", d, d), 1e-300)
+    return ends[:, 0] + np.clip(along, 0, 1)[:, None] * d
+
+
+def _joined(parts: Sequence[Limits]) -> Limits:
+    none = np.zeros(0, int)
+    return Limits(*map(np.concatenate, zip(Limits(none, np.zeros(0), none, none), *parts, strict=True)))
+
+
+def _solids(own: Fixtures) -> Iterator[_Solid]:
+    """Yield the solids of a cell, without padding."""
+    number = 0
+    for stack in (*own.simple, *(() if own.pieces is None else (own.pieces,))):
+        leaves, kind = [np.asarray(leaf) for leaf in stack], type(stack)
+        for row in range(len(leaves[0])):
+            if own.names[number]:
+                yield _solid(number, kind(*(leaf[row] for leaf in leaves)))
+            number += 1
+
+
+def _solid(number: int, solid) -> _Solid:
+    if isinstance(solid, HalfSpace):
+        return _Solid(number, np.zeros((1, 3)), 0.0, np.append(solid.normal, solid.offset))
+    if isinstance(solid, Rod):
+        return _Solid(number, np.stack([solid.p, solid.q]), float(solid.radius))
+    if isinstance(solid, Polyhedron):
+        return _Solid(number, np.unique(solid.corners.reshape(-1, 3), axis=0), 0.0)
+    is_round = isinstance(solid, Cylinder)
+    own = _prism(float(solid.radius), float(solid.half)) if is_round else CUBE * solid.half
+    return _Solid(number, own @ solid.rotation.T + solid.centre, 0.0, cylinder=solid if is_round else None)
+
+
+def normals_between(
+    bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray, "P W 3"]
+) -> Float[np.ndarray, "P 3"]:
+    """Return unit normals from convex features to convex bodies, by the points nearest to each other.
+
+    The normals of bodies that overlap are arbitrary.
+
+    Args:
+        bodies: Corners of the bodies [m].
+        others: Corners of the features [m].
+    """
+    count = len(bodies)
+    most = _padded_count(count, ROWS)
+    padded = (jnp.asarray(np.resize(each, (most, *each.shape[1:]))) for each in (bodies, others))
+    normal = np.asarray(_normals(*padded))[:count]
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.where(length > 0.5, normal / np.maximum(length, 0.5), np.array([0.0, 0.0, 1.0]))
+
+
+def _padded_count(count: int, least: int = 64) -> int:
+    return least * 2 ** max(0, int(np.ceil(np.log2(max(1, count) / least))))
+
+
+@jax.jit
+@jax.vmap
+def _normals(body, other):
+    def lowest(corners, direction):
+        return corners[jnp.argmin(corners @ direction)]
+
+    return gjk.nearest(partial(lowest, body), partial(lowest, other)).normal
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _link_poses(robot: Robot, x):
+    return kinematics.link_poses(robot, x)
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, None, None, 0))
+def _free_radii(own: Obstacle, robot: Robot, where: HasWorkpiecePose, x):
+    return own.free_radius(robot, where, bodies_at(robot, where, x))
