@@ -1,7 +1,7 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
-from .error_scale import ErrorScale, error_scale
-from .error_set import error_set, scale_text
+from .scaled_errors import ErrorScale, error_scale
+from .stated_errors import error_set, scale_text
 from .file_proof import FileProof, motion_curves, prove_file
 from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves

@@ -22,8 +22,8 @@ from htcp_jax.io.motions import polynomials as polynomials_of
 from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, corners_in_shares, polynomials
-from htcp_jax.proving.error_scale import ErrorScale, error_scale
-from htcp_jax.proving.error_set import Errors, error_set, read_errors
+from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
+from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import (
     PathDeviation,

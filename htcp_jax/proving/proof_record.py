@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from htcp_jax.io import arrays
-from htcp_jax.proving.error_set import scale_text
+from htcp_jax.proving.stated_errors import scale_text
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
 from htcp_jax.runs import columns, provenance

@@ -5,6 +5,7 @@ clouds by a tree, solids and other bodies by bounding boxes and balls. All other
 a body with a convex piece, both its capsule and its piece enclose the mesh, so the larger scale counts.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -35,7 +36,9 @@ from htcp_jax.clearance.proof.error_bound import (
     scales,
 )
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.numerics import ragged_rows
 
+CLUSTER = 32  # maximum number of points in a cluster
 BALLS = 64  # maximum number of balls that cover a body for the search among points
 NUMBERS = 1 << 21  # entries of the largest table of a bound; more pairs are bounded in portions
 ROWS = 256  # smallest number of pairs whose normals are computed together
@@ -96,6 +99,11 @@ class ErrorScene:
         own = self.robot.pieces
         return np.asarray(own.piece.vertices), np.asarray(own.piece.radius), np.asarray(own.planes)
 
+    def moves(self, places: Places, most: float) -> Float[np.ndarray, "n K"]:
+        """Return bounds on the displacement of each body's points, for all errors up to a scale [m]."""
+        ends, levers = _placed(self, places, self.ends), levers_of(self.robot, places)
+        return largest_moves(self.robot, self.errors, places, levers, ends, most)
+
     def places(self, x, rates, turns, rest) -> Places:
         """Return intervals with their links' frames, see `Places`."""
         count = len(x)
@@ -106,8 +114,13 @@ class ErrorScene:
 
 
 class _Points(NamedTuple):
+    """Points of a cloud in clusters, which follow each other, and a tree of the clusters' middles."""
+
     points: Float[np.ndarray, "P 3"]  # in the root's frame [m]
     cover: float  # radius about each point [m]
+    first: Int[np.ndarray, "C"]  # first point of each cluster
+    count: Int[np.ndarray, "C"]  # number of its points
+    radius: Float[np.ndarray, "C"]  # of a ball about its middle [m]
     tree: scipy.spatial.cKDTree
     is_checked: Bool[np.ndarray, "K"]
     of_part: bool
@@ -115,7 +128,17 @@ class _Points(NamedTuple):
     @classmethod
     def of(cls, cloud: Cloud, T: Float[np.ndarray, "4 4"], is_checked: Bool[np.ndarray, "K"], of_part: bool):
         points = np.asarray(cloud.points) @ T[:3, :3].T + T[:3, 3]
-        return cls(points, float(cloud.cover), scipy.spatial.cKDTree(points), is_checked, of_part)
+        parts = _split(points, np.arange(len(points)))
+        middle = np.array([0.5 * (points[rows].min(axis=0) + points[rows].max(axis=0)) for rows in parts])
+        radius = [np.linalg.norm(points[rows] - own, axis=1).max() for rows, own in zip(parts, middle, strict=True)]
+        count, points = np.array(list(map(len, parts))), points[np.concatenate(parts)]
+        tree = scipy.spatial.cKDTree(middle)
+        first = np.cumsum(count) - count
+        return cls(points, float(cloud.cover), first, count, np.array(radius), tree, is_checked, of_part)
+
+    @property
+    def middle(self) -> Float[np.ndarray, "C 3"]:
+        return self.tree.data
 
 
 class _Solid(NamedTuple):
@@ -187,16 +210,11 @@ class _Here:
             part = np.linalg.norm(errors.part_shift_m) + np.linalg.norm(errors.part_turn_rad) * far + errors.cloud_m
             reach = reach + most * part
         place, body, row = self._points_near(own, reach + own.cover + self.radius)
-        ends, point = self.ends[place, body], own.points[row]
-        apart = _on_axis(ends, point) - point
+        point = own.points[row]
+        near = self._is_near(place, body, point, reach[place, body] + own.cover)
+        place, body, point = place[near], body[near], point[near]
+        apart = _on_axis(self.ends[place, body], point) - point
         away = np.linalg.norm(apart, axis=1)
-        near = away - self.radius[body] - own.cover <= reach[place, body]
-        piece = near & self.scene.has_piece[body]
-        if piece.any():  # points near the capsule, but not near the piece
-            near[piece] &= self._over_pieces(place[piece], body[piece], point[piece])[0] - own.cover <= reach[
-                place[piece], body[piece]
-            ]
-        place, body, point, apart, away = (each[near] for each in (place, body, point, apart, away))
         normal = apart / np.maximum(away, 1e-300)[:, None]
         known = point if own.of_part else np.broadcast_to(UNKNOWN, point.shape)
 
@@ -378,28 +396,50 @@ class _Here:
             best = np.maximum(best, height)
         return best, np.einsum("pij,pj->pi", T[:, :3, :3], normal)
 
+    def _is_near(self, place, body, point, within: Float[np.ndarray, "P"]) -> Bool[np.ndarray, "P"]:
+        """Return True for points at most `within` from bodies [m]: from the capsule and from the piece, if any."""
+        away = np.linalg.norm(_on_axis(self.ends[place, body], point) - point, axis=1) - self.radius[body]
+        near = away <= within
+        rows = np.flatnonzero(near & self.scene.has_piece[body])
+        if len(rows):
+            near[rows] = self._over_pieces(place[rows], body[rows], point[rows])[0] <= within[rows]
+        return near
+
     def _points_near(self, own: _Points, reach: Float[np.ndarray, "n K"]):
-        """Return the interval, body and row of all points within `reach` of the bodies' axes, and some others."""
+        """Return the interval, body and row of all points in clusters that are within `reach` of the bodies' axes."""
         p, q = self.ends[:, :, 0], self.ends[:, :, 1]
-        length = np.linalg.norm(q - p, axis=2)
+        length, wide = np.linalg.norm(q - p, axis=2), own.radius.max()
         away = own.tree.query(0.5 * (p + q))[0]
-        place, body = np.nonzero(own.is_checked & (away <= 0.5 * length + reach))
+        place, body = np.nonzero(own.is_checked & (away <= 0.5 * length + reach + wide))
         if not len(place):
             return (np.zeros(0, int),) * 3
         p, q, length, reach = (each[place, body] for each in (p, q, length, reach))
-        count = np.clip(np.ceil(2 * length / np.maximum(reach, 1e-6)), 1, BALLS).astype(int)
-        pair = np.repeat(np.arange(len(place)), count)
-        nth = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+        count = np.clip(np.ceil(2 * length / np.maximum(reach + wide, 1e-6)), 1, BALLS).astype(int)
+        pair, nth = ragged_rows(count)
         centre = p[pair] + ((nth + 0.5) / count[pair])[:, None] * (q - p)[pair]
-        size = np.hypot(reach[pair], 0.5 * (length / count)[pair])
+        size = np.hypot((reach + wide)[pair], 0.5 * (length / count)[pair])
         pair = np.concatenate([pair, np.tile(np.arange(len(place)), 2)])
-        centre, size = np.concatenate([centre, p, q]), np.concatenate([size, reach, reach]) + NOTHING
+        centre, size = np.concatenate([centre, p, q]), np.concatenate([size, reach + wide, reach + wide]) + NOTHING
         hits = own.tree.query_ball_point(centre, size, return_sorted=False)
         counts = np.fromiter(map(len, hits), int, len(hits))
-        rows = np.fromiter((row for hit in hits for row in hit), int, int(counts.sum()))
-        key = np.unique(np.repeat(pair, counts) * len(own.points) + rows)
-        pair, row = np.divmod(key, len(own.points))
-        return place[pair], body[pair], row
+        clusters = np.fromiter(itertools.chain.from_iterable(hits), int, int(counts.sum()))
+        key = np.unique(np.repeat(pair, counts) * len(own.first) + clusters)
+        pair, cluster = np.divmod(key, len(own.first))
+        within = reach[pair] - self.radius[body[pair]] + own.radius[cluster] + NOTHING
+        near = self._is_near(place[pair], body[pair], own.middle[cluster], within)
+        pair, cluster = pair[near], cluster[near]
+        at, nth = ragged_rows(own.count[cluster])
+        return place[pair[at]], body[pair[at]], own.first[cluster[at]] + nth
+
+
+def _split(points: Float[np.ndarray, "P 3"], rows: Int[np.ndarray, "p"]) -> list[Int[np.ndarray, "_"]]:
+    """Return some points' rows in groups of at most CLUSTER near points."""
+    if len(rows) <= CLUSTER:
+        return [rows]
+    own = points[rows]
+    axis, half = int(np.ptp(own, axis=0).argmax()), len(rows) // 2
+    order = np.argpartition(own[:, axis], half)
+    return _split(points, rows[order[:half]]) + _split(points, rows[order[half:]])
 
 
 def _placed(scene: ErrorScene, places: Places, corners: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "n K V 3"]:

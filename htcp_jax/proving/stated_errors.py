@@ -13,7 +13,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Problem
-from htcp_jax.proving.error_scale import EMPTY, ErrorScale
+from htcp_jax.proving.scaled_errors import EMPTY, ErrorScale
 from htcp_jax.spec import ErrorsConfig, PlanConfig, examples, strict_model, tool
 
 DIGITS = 3  # of lengths, angles and scales in sentences, which are rounded down

@@ -23,7 +23,8 @@ from htcp_jax.proving.curves import JointCurves
 GAP = 0.02  # share of the scale that is not proven in favour of speed
 TRIED = 1.0, 4.0, 16.0, 64.0  # largest scales that are looked for, one after the other
 DEEPEST = 40  # maximum number of halvings
-ROWS = 256  # intervals that are bounded together
+FARTHEST_M = 0.03  # longer intervals, by the largest displacement of a body, are halved at once
+ROWS = 64  # intervals that are bounded together
 EMPTY = 1e-9  # a smaller scale is none
 
 
@@ -81,35 +82,44 @@ def error_scale(
             least = _bounded(scene, curves, whole._replace(half=np.zeros(count)), margin_m, most)[0].min(initial=most)
             if least < most:
                 break
-        found, best, done = (least, -1, 0.5, -1, -1), least, 0
-        low, rows = least, whole
-        depth = 0
+        low, best, done, depth, rows = least, least, 0, 0, whole
+        where = -1, 0.5, -1, -1
         while len(rows.row):
-            scale, body, obstacle = _bounded(scene, curves, rows, margin_m, best)
-            done += len(rows.row)
-            at_middle = _bounded(scene, curves, _of(rows, scale < best)._replace(half=np.zeros(int((scale < best).sum()))), margin_m, best)[0]
-            best = min(best, at_middle.min(initial=best))
+            is_short = _travel(scene, curves, rows) <= FARTHEST_M
+            short = _of(rows, is_short)
+            scale, body, obstacle = _bounded(scene, curves, short, margin_m, best)
+            limited = _of(short, scale < best)
+            best = min(best, _bounded(scene, curves, limited._replace(half=0 * limited.half), margin_m, best)[0].min(initial=best))
             final = (scale >= (1 - gap) * best) | (depth >= DEEPEST) | (best <= EMPTY)
             if final.any():
                 k = int(np.where(final, scale, np.inf).argmin())
-                if scale[k] < low or found[1] < 0:
-                    low = min(low, scale[k])
-                    found = low, int(rows.row[k]), float(rows.middle[k]), int(body[k]), int(obstacle[k])
-            rows = _halved(_of(rows, ~final))
-            depth += 1
+                if scale[k] <= low:
+                    low, where = scale[k], (int(short.row[k]), float(short.middle[k]), int(body[k]), int(obstacle[k]))
+            again = ~is_short
+            again[is_short] = ~final
+            done, depth, rows = done + len(rows.row), depth + 1, _halved(_of(rows, again))
             progress(done, done + len(rows.row))
-    row, place = found[1], found[2]
+    row, place, body, obstacle = where
     begin, end = curves.span[row] if row >= 0 else (0.0, 1.0)
-    decides = row >= 0 and found[3] >= 0
+    decides = row >= 0 and body >= 0
     return ErrorScale(
         float(low) if low > EMPTY else 0.0,
         bool(low >= TRIED[-1]),
         int(curves.segment[row]) if decides else None,
         float(begin + place * (end - begin)),
-        found[3] if decides else None,
-        found[4] if decides else None,
+        body if decides else None,
+        obstacle if decides else None,
         done,
     )
+
+
+def _travel(scene: error_pairs.ErrorScene, curves: JointCurves, rows: _Open) -> Float[np.ndarray, "n"]:
+    """Return the largest displacement of a body from an interval's middle [m]."""
+    parts = [np.zeros(0)]
+    for first in range(0, len(rows.row), ROWS):
+        places = scene.places(*_motion(curves, _of(rows, slice(first, first + ROWS))))
+        parts.append(scene.moves(places, 0.0).max(axis=1))
+    return np.concatenate(parts)
 
 
 def _of(rows: _Open, chosen) -> _Open:
