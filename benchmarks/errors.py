@@ -18,8 +18,9 @@ import argparse
 import json
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -82,15 +83,23 @@ def main() -> int:
     parser.add_argument("--draws", type=int, default=10_000, help="number of draws in each set")
     parser.add_argument("--sets", type=int, default=20, help="number of sets")
     parser.add_argument("--only", default="", help="only example jobs whose name contains this")
+    parser.add_argument("--plans", type=Path, help="folder that keeps the motions of example jobs for the next run")
     parser.add_argument("--job", nargs=2, action="append", default=[], help="a further job, and its motion")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")
-    cases = [planned(name) for name in JOBS if chosen.only in name]
+    with TemporaryDirectory() as folder:
+        kept = chosen.plans or Path(folder)
+        cases = [planned(name, kept / name) for name in JOBS if chosen.only in name]
     cases += [case_of(job, Path(motion)) for job, motion in chosen.job]
     ratios, collisions = [], 0
     for number in range(chosen.sets):
         case = cases[number % len(cases)]
-        found = tested(case, stated(case.problem.robot.dof, number // len(cases) + number, SEED + number), chosen.draws, SEED + number)
+        found = tested(
+            case,
+            stated(case.problem.robot.dof, number // len(cases) + number, SEED + number),
+            chosen.draws,
+            SEED + number,
+        )
         print(json.dumps({"set": number, "job": case.name, **found}), flush=True)
         ratios.append(found["ratio"])
         collisions += found["collisions"]
@@ -99,11 +108,13 @@ def main() -> int:
     return int(collisions > 0 or median > MOST_RATIO)
 
 
-def planned(name: str) -> Case:
-    """Plan an example job, and return its motion as a case."""
-    with TemporaryDirectory() as folder:
-        htcp_jax.plan(name).write(Path(folder))
-        return case_of(name, Path(folder) / "motion.csv")
+def planned(name: str, folder: Path) -> Case:
+    """Plan an example job into a folder, unless a motion is there, and return its motion as a case."""
+    motion = folder / "motion.csv"
+    if not motion.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        htcp_jax.plan(name).write(folder)
+    return case_of(name, motion)
 
 
 def case_of(job: Any, motion: Path) -> Case:
@@ -229,22 +240,26 @@ def _touches_part(arm: MujocoArm, problem: Problem, cloud: Cloud, draw: Draw, en
         within = near_to[k] + float(cloud.cover) + draw.grows_m
         length = arm.length[k]
         steps = int(np.ceil(2 * length / near_to[k])) + 1
-        reach = np.hypot(within, length / (2 * steps)) if length else within
         far = tree.query(0.5 * (p + q))[0] > 0.5 * length + within
         rows = np.flatnonzero(~far & ~hit)
         share = np.concatenate([[0.0, 1.0], (np.arange(steps) + 0.5) / steps])
-        for n in rows.tolist():
-            sampled = p[n] + share[:, None] * (q[n] - p[n])
-            found = np.unique(np.concatenate(tree.query_ball_point(sampled, reach[n]))).astype(int)
-            own = points[found]
-            d = q[n] - p[n]
-            along = np.clip((own - p[n]) @ d / max(d @ d, 1e-300), 0, 1)
-            inside_ = own[np.linalg.norm(p[n] + along[:, None] * d - own, axis=1) <= within[n]]
-            if len(inside_) and (hull := arm.hulls[k]) is not None:
-                local = (inside_ - 0.5 * (p[n] + q[n])) @ axes[n, k]
-                hit[n] = hull.clearance(local[:, None], float(within[n])) <= float(cloud.cover) + draw.grows_m[n]
-            else:
-                hit[n] |= len(inside_) > 0
+        sampled = p[rows, None] + share[:, None] * (q - p)[rows, None]
+        reach = np.broadcast_to(np.hypot(within, length / (2 * steps))[rows, None], sampled.shape[:2])
+        found = tree.query_ball_point(sampled.reshape(-1, 3), reach.reshape(-1), return_sorted=False)
+        counts = np.fromiter(map(len, found), int, len(found))
+        row, point = (
+            np.repeat(np.repeat(rows, len(share)), counts),
+            points[np.fromiter(chain(*found), int, counts.sum())],
+        )
+        near = np.linalg.norm(_project(ends[row, k], point) - point, axis=1) <= within[row]
+        row, point = row[near], point[near]
+        if (hull := arm.hulls[k]) is None:
+            hit[row] = True
+            continue
+        for n in np.unique(row).tolist():
+            local = (point[row == n] - 0.5 * (p[n] + q[n])) @ axes[n, k]
+            cover = float(cloud.cover + draw.grows_m[n])
+            hit[n] = hull.clearance(local[:, None], cover) <= cover
     return hit
 
 
@@ -319,7 +334,7 @@ def distances(case: Case, errors: ErrorSet) -> Callable:
 
 def first_collision(case: Case, errors: ErrorSet, found: ErrorScale, seed: int) -> float:
     """Return the smallest scale at which a search finds a collision."""
-    measure, curves = distances(case, errors), case.curves
+    measure = distances(case, errors)
     x = _places(case, errors, found, seed)
     active = _active(errors)
     units = np.repeat(signs(2 * CORNERS, 13 + len(errors.joints), seed)[::2][None], len(x), axis=0)

@@ -1,11 +1,11 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
-from .scaled_errors import ErrorScale, error_scale
-from .stated_errors import error_set, scale_text
 from .file_proof import FileProof, motion_curves, prove_file
 from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
+from .scaled_errors import ErrorScale, error_scale
 from .scene import ProofScene, scene_of
+from .stated_errors import error_set, errors_record, scale_text
 from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "deepest_contacts",
     "error_scale",
     "error_set",
+    "errors_record",
     "motion_curves",
     "polynomials",
     "proof_record",

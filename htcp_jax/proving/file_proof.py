@@ -22,8 +22,6 @@ from htcp_jax.io.motions import polynomials as polynomials_of
 from htcp_jax.model import Robot
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves, corners, corners_in_shares, polynomials
-from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
-from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import (
     PathDeviation,
@@ -34,7 +32,9 @@ from htcp_jax.proving.path_deviation import (
     tcp_positions,
 )
 from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
+from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
+from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ErrorsConfig, ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
@@ -128,8 +128,8 @@ def prove_file(
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
         tracking_m: That of sliding joints, if `tracking_rad` is one value [m]; None: required if there are any.
-        errors: Half-widths of errors, in place of the job's: a YAML file, or a mapping with its keys, see docs/prove.md.
-            The result has the largest scale of them that stays proven.
+        errors: Half-widths of errors, in place of the job's: a YAML file, or a mapping with its keys. The result has the
+            largest scale of them that stays proven.
         kept: See `htcp_jax.prove`.
         device: The device; None: a GPU if there is one.
         progress: Function that is called with the current step as text, and the numbers of finished and all parts.

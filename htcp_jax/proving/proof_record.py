@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from htcp_jax.io import arrays
-from htcp_jax.proving.stated_errors import scale_text
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
+from htcp_jax.proving.stated_errors import errors_record, scale_text
 from htcp_jax.runs import columns, provenance
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import files, output_files
@@ -211,7 +211,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "limits": [use._asdict() for use in found.limits],
         "limits_violated": bool(found.violated),
         "deviation": _deviation_record(found),
-        "errors": _errors_record(found),
+        "errors": found.errors and errors_record(found.errors, found.error_scale),
         "queries": 0 if proof is None else int(proof.queries.sum()),
         "seconds": found.seconds,
     }
@@ -229,18 +229,6 @@ def errors_text(found: FileProof) -> str:
         return ""
     text, scale = scale_text(found.errors, found.error_scale), found.error_scale
     return text if scale is None or scale.segment is None else f"{text}, decided on {_where(found, scale.segment)}"
-
-
-def _errors_record(found: FileProof) -> dict[str, Any] | None:
-    if found.errors is None:
-        return None
-    scale = found.error_scale
-    known = {"scale": None, "is_more": False, "segment": None, "place_share": None}
-    if scale is not None:
-        known = {"scale": scale.scale, "is_more": scale.is_more, "segment": scale.segment}
-        known["place_share"] = None if scale.segment is None else scale.place
-    stated = found.errors.model_dump(exclude_none=True)
-    return {"stated": stated, **known, "text": errors_text(found)}
 
 
 def limit_text(use: LimitUse) -> str:

@@ -13,10 +13,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance import own_scene
-from htcp_jax.clearance import Scene
 from htcp_jax.clearance.proof import error_bound, error_pairs
 from htcp_jax.device import devices
+from htcp_jax.model import robot as robots
 from htcp_jax.motion import Problem
 from htcp_jax.proving.curves import JointCurves
 
@@ -51,8 +50,8 @@ class _Open(NamedTuple):
 def scene_with(problem: Problem, errors: error_bound.ErrorSet) -> error_pairs.ErrorScene:
     """Return the scene of a problem's first scenario, with errors."""
     where = jax.tree.map(lambda leaf: leaf[0], problem.scenarios)
-    own = own_scene(Scene(problem.robot, problem.obstacles), where.tool_extension_m)
-    return error_pairs.ErrorScene(own.robot, own.obstacles, where, errors)
+    robot = robots.lengthen_tool(problem.robot, float(where.tool_extension_m))
+    return error_pairs.ErrorScene(robot, problem.obstacles, where, errors)
 
 
 def error_scale(
@@ -89,7 +88,10 @@ def error_scale(
             short = _of(rows, is_short)
             scale, body, obstacle = _bounded(scene, curves, short, margin_m, best)
             limited = _of(short, scale < best)
-            best = min(best, _bounded(scene, curves, limited._replace(half=0 * limited.half), margin_m, best)[0].min(initial=best))
+            best = min(
+                best,
+                _bounded(scene, curves, limited._replace(half=0 * limited.half), margin_m, best)[0].min(initial=best),
+            )
             final = (scale >= (1 - gap) * best) | (depth >= DEEPEST) | (best <= EMPTY)
             if final.any():
                 k = int(np.where(final, scale, np.inf).argmin())

@@ -73,7 +73,9 @@ def _joint_errors(robot: Robot, joints: tuple[float, ...] | None) -> Float[np.nd
         return np.zeros(robot.dof)
     names = ", ".join(robot.joint_names)
     if len(joints) == 1 and robot.dof > 1 and any(robot.sliding):
-        raise InputError(f"errors.joints_rad is one number, but {robot.name} has sliding joints; pass one per joint: {names}")
+        raise InputError(
+            f"errors.joints_rad is one number, but {robot.name} has sliding joints; pass one per joint: {names}"
+        )
     if len(joints) not in (1, robot.dof):
         raise InputError(f"errors.joints_rad has {len(joints)} numbers; valid: one, or one per joint: {names}")
     return np.broadcast_to(np.array(joints, float), robot.dof).copy()
@@ -133,6 +135,15 @@ def scale_text(errors: ErrorsConfig, found: ErrorScale | None) -> str:
     times = f"{'at least ' if found.is_more else ''}{scale:g} times the errors stated"
     begin = "proven" if found.scale >= 1 else "not proven for the errors stated; proven"
     return f"{begin} with {'; '.join(parts)} ({times})"
+
+
+def errors_record(errors: ErrorsConfig, found: ErrorScale | None) -> dict[str, Any]:
+    """Return errors and their largest proven scale as values for JSON, see `scale_text`."""
+    known = {"scale": None, "is_more": False, "segment": None, "place_share": None}
+    if found is not None:
+        known = {"scale": found.scale, "is_more": found.is_more, "segment": found.segment}
+        known["place_share"] = None if found.segment is None else found.place
+    return {"stated": errors.model_dump(exclude_defaults=True), **known, "text": scale_text(errors, found)}
 
 
 def _displacement(name: str, sizes: tuple | None, scale: float) -> list[str]:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from htcp_jax.errors import InputError
 from htcp_jax.spec.strict_model import FileSection
@@ -33,9 +33,7 @@ def _about(value: Any) -> Any:
     return value
 
 
-About = Annotated[
-    Literal["path", "part"] | tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_about)
-]
+About = Annotated[Literal["path", "part"] | tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_about)]
 
 
 class PartErrors(FileSection):

@@ -21,8 +21,11 @@ by w x a, and a remainder of at most |w|^2 |a| / 2. For the part, shifted by p a
 
     n.v(b) <= l (sum_i |n_i| p_i + sum_i |(b x n)_i| w_i) + l^2 |w|^2 |b| / 2,
 
-and for the tool l T (|p| + |w| |a|) is added, as the joints rotate its displacement. All of it is a quadratic function
-of l, whose root is the pair's scale. The scale of an interval is the smallest of all pairs.
+and for the tool l T (|p| + |w| |a|) is added, as the joints rotate its displacement. If the feature is a point, the
+plane is fixed to the body instead, and the point moves: the same displacements at b, in the opposite order, which adds
+l |w| P S + l^2 |w| |p| for the tool's, and l (T + l |w|) times the size of v for the part's. A plane of the part, as of
+the interior rule, is treated alike. All of it is a quadratic function of l, whose root is the pair's scale. The scale
+of an interval is the smallest of all pairs.
 """
 
 from typing import NamedTuple
@@ -73,7 +76,7 @@ class Pairs(NamedTuple):
     point: Float[np.ndarray, "P 3"]  # the feature, if it is a point of the part; NaN: another feature [m]
     is_side: Bool[np.ndarray, "P"]  # True: the feature is a plane of the part
     other_body: Int[np.ndarray, "P"]  # the feature, if it is a body of the arm; -1: another feature
-    obstacle: Int[np.ndarray, "P"]  # number of the obstacle
+    in_body: Bool[np.ndarray, "P"]  # True: the plane is fixed to the body, and the only corner is the feature, a point
 
 
 class Levers(NamedTuple):
@@ -163,7 +166,20 @@ def joint_terms(robot: Robot, errors: ErrorSet, places: Places, levers: Levers, 
     c2 = rest * turn1 * sweep1
     first, second, size = tool_terms(robot, errors, places, pairs, pairs.body, normal, is_directed)
     other = _of_other(robot, errors, places, pairs)
-    return c0, c1 + first + turn0 * size + other[0], c2 + second + turn1 * size + other[1]
+    c1, c2 = c1 + first + turn0 * size + other[0], c2 + second + turn1 * size + other[1]
+    if pairs.is_side.any():  # the part turns also what the arm has moved
+        turn = np.linalg.norm(errors.part_turn_rad) * pairs.is_side[:, None]
+        c1, c2 = c1 + turn * stretch * sweep0, c2 + turn * (stretch * sweep1 + size)
+    if pairs.in_body.any():  # the same displacements, in the opposite order
+        inside = pairs.in_body[:, None]
+        turn = np.linalg.norm(errors.tool_turn_rad) * errors.is_tool[pairs.body][:, None]
+        away = np.linalg.norm(pairs.point - errors.part_about_m, axis=1)[:, None]
+        part = np.linalg.norm(errors.part_shift_m) + np.linalg.norm(errors.part_turn_rad) * np.nan_to_num(away)
+        part = np.where(np.isnan(away), 0.0, part)
+        c1 = c1 + inside * (turn * stretch * sweep0 + turn0 * part)
+        more = turn * (stretch * sweep1 + np.linalg.norm(errors.tool_shift_m)) + (turn1 + turn) * part
+        c2 = c2 + inside * more
+    return c0, c1, c2
 
 
 def tool_terms(robot: Robot, errors: ErrorSet, places: Places, pairs: Pairs, body, normal, is_directed):

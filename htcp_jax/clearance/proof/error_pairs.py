@@ -41,6 +41,7 @@ from htcp_jax.numerics import ragged_rows
 CLUSTER = 32  # maximum number of points in a cluster
 BALLS = 64  # maximum number of balls that cover a body for the search among points
 NUMBERS = 1 << 21  # entries of the largest table of a bound; more pairs are bounded in portions
+SECTIONS = 6  # sections of a capsule that are bounded one by one
 ROWS = 256  # smallest number of pairs whose normals are computed together
 UNKNOWN = np.full(3, np.nan)
 
@@ -218,17 +219,22 @@ class _Here:
         normal = apart / np.maximum(away, 1e-300)[:, None]
         known = point if own.of_part else np.broadcast_to(UNKNOWN, point.shape)
 
-        def bounded(rows, normal, is_piece):
-            height = np.einsum("pi,pi->p", normal, point[rows]) + own.cover
-            return self._scales(number, place[rows], body[rows], normal, height, is_piece, point=known[rows])
+        def bounded(rows, normal, distance):
+            """Return the scales of points that are `distance` from planes fixed to the bodies [m]."""
+            corner, zero = point[rows][:, None], np.zeros(len(rows))
+            height = np.einsum("pi,pi->p", normal, point[rows]) - distance + own.cover
+            more = {"point": known[rows], "in_body": True}
+            return self._portions(place[rows], body[rows], corner, zero, normal, height, **more)
 
-        found = bounded(np.arange(len(place)), normal, False)
+        found = bounded(np.arange(len(place)), normal, away - self.radius[body])
         rows = np.flatnonzero(self.scene.has_piece[body] & (found < most))
         if len(rows):
-            _, outward = self._over_pieces(place[rows], body[rows], point[rows])
-            corners = self._piece_corners(place[rows], body[rows])
-            for normal in (-outward, normals_between(corners, point[rows][:, None])):
-                found[rows] = np.maximum(found[rows], bounded(rows, normal, True))
+            over, outward = self._over_pieces(place[rows], body[rows], point[rows])
+            found[rows] = np.maximum(found[rows], bounded(rows, -outward, over))
+            corners, radius = self._corners(place[rows], body[rows], True)
+            normal = normals_between(corners, point[rows][:, None])
+            lowest = np.einsum("pvi,pi->pv", corners - point[rows][:, None], normal).min(axis=1)
+            found[rows] = np.maximum(found[rows], bounded(rows, normal, lowest - radius))
         return self._limits(number, place, body, found)
 
     def by_solids(self, number: int, own: Fixtures, solids: Sequence[_Solid]) -> Limits:
@@ -245,24 +251,28 @@ class _Here:
             place, body = np.nonzero(near)
             if not len(place):
                 continue
-            parts.append(self._limits(number, place, body, self._by_solid(number, solid, place, body)))
+            parts.append(self._limits(number, place, body, self._by_solid(solid, place, body)))
         return _joined(parts)
 
-    def _by_solid(self, number: int, solid: _Solid, place, body) -> Float[np.ndarray, "P"]:
+    def _by_solid(self, solid: _Solid, place, body) -> Float[np.ndarray, "P"]:
         found = np.zeros(len(place))
         for is_piece in (False, True):
-            rows = np.flatnonzero(self.scene.has_piece[body] & (found < self.most)) if is_piece else np.arange(len(body))
+            rows = (
+                np.flatnonzero(self.scene.has_piece[body] & (found < self.most)) if is_piece else np.arange(len(body))
+            )
             if not len(rows):
                 continue
-            if solid.plane is not None:
-                normal = np.broadcast_to(solid.plane[:3], (len(rows), 3))
-                height = np.full(len(rows), solid.plane[3])
-            else:
-                corners = self._corners(place[rows], body[rows], is_piece)[0]
-                normal = normals_between(corners, np.broadcast_to(solid.corners, (len(rows), *solid.corners.shape)))
-                height = solid.height(normal)
-            new = self._scales(number, place[rows], body[rows], normal, height, is_piece)
-            found[rows] = np.maximum(found[rows], new)
+            least = np.full(len(rows), self.most)
+            for corners, radius in self._shapes(place[rows], body[rows], is_piece):
+                if solid.plane is not None:
+                    normal = np.broadcast_to(solid.plane[:3], (len(rows), 3))
+                    height = np.full(len(rows), solid.plane[3])
+                else:
+                    others = np.broadcast_to(solid.corners, (len(rows), *solid.corners.shape))
+                    normal = normals_between(corners, others)
+                    height = solid.height(normal)
+                least = np.minimum(least, self._portions(place[rows], body[rows], corners, radius, normal, height))
+            found[rows] = np.maximum(found[rows], least)
         return found
 
     def by_bodies(self, number: int, own: SelfCollision) -> Limits:
@@ -275,24 +285,24 @@ class _Here:
             near = np.flatnonzero(away <= self.moves[:, first] + self.moves[:, second])
             if len(near):
                 body, other = np.full(len(near), first), np.full(len(near), second)
-                parts.append(self._limits(number, near, body, self._by_body(number, near, body, other, link[second])))
+                parts.append(self._limits(number, near, body, self._by_body(near, body, other, int(link[second]))))
         return _joined(parts)
 
-    def _by_body(self, number: int, place, body, other, link: int) -> Float[np.ndarray, "P"]:
+    def _by_body(self, place, body, other, link: int) -> Float[np.ndarray, "P"]:
         found = np.zeros(len(place))
         has_piece = bool(self.scene.has_piece[[body[0], other[0]]].any())
         for is_piece in (False, True) if has_piece else (False,):
             rows = np.flatnonzero(found < self.most)
             if not len(rows):
                 break
-            corners, _ = self._corners(place[rows], body[rows], is_piece)
-            others, radius = self._corners(place[rows], other[rows], is_piece)
-            normal = normals_between(corners, others)
-            height = np.einsum("pvi,pi->pv", others, normal).max(axis=1) + radius
-            new = self._scales(
-                number, place[rows], body[rows], normal, height, is_piece, other=link, other_body=other[rows]
-            )
-            found[rows] = np.maximum(found[rows], new)
+            others, around = self._corners(place[rows], other[rows], is_piece)
+            least = np.full(len(rows), self.most)
+            for corners, radius in self._shapes(place[rows], body[rows], is_piece):
+                normal = normals_between(corners, others)
+                height = np.einsum("pvi,pi->pv", others, normal).max(axis=1) + around
+                known = (place[rows], body[rows], corners, radius, normal, height)
+                least = np.minimum(least, self._portions(*known, other=link, other_body=other[rows]))
+            found[rows] = np.maximum(found[rows], least)
         return found
 
     def by_interior(self, number: int, own: Interior) -> Limits:
@@ -311,7 +321,9 @@ class _Here:
         T = np.asarray(where.T_world_workpiece)
         outward = np.asarray(own.hull.normal) @ T[:3, :3].T
         offset = np.asarray(own.hull.offset) + outward @ T[:3, 3]
-        by_plane = self._by_sides(number, place, body, end, np.tile(-plane[:3], (len(place), 1)), -before[place, body, end])
+        by_plane = self._by_sides(
+            number, place, body, end, np.tile(-plane[:3], (len(place), 1)), -before[place, body, end]
+        )
         open_ = np.flatnonzero(by_plane < self.most)
         in_hull = np.full(len(place), self.most)
         size = max(1, NUMBERS // max(1, len(offset)))
@@ -319,15 +331,15 @@ class _Here:
             depth = offset - self.ends[place[rows], body[rows], end[rows]] @ outward.T
             pair, facet = np.nonzero(depth <= reach[place[rows], body[rows], end[rows]][:, None])
             near = rows[pair]
-            new = self._by_sides(number, place[near], body[near], end[near], -outward[facet], -depth[pair, facet])
+            new = self._by_sides(place[near], body[near], end[near], -outward[facet], -depth[pair, facet])
             np.minimum.at(in_hull, near, new)
         return self._limits(number, place, body, np.maximum(by_plane, in_hull))
 
-    def _by_sides(self, number: int, place, body, end, normal, less_m) -> Float[np.ndarray, "P"]:
+    def _by_sides(self, place, body, end, normal, less_m) -> Float[np.ndarray, "P"]:
         """Return the scales of ends that are -`less_m` beyond planes of the part [m]."""
         corner = self.ends[place, body, end]
         height = np.einsum("pi,pi->p", normal, corner) + less_m
-        return self._bounded(number, place, body, corner[:, None], np.zeros(len(place)), normal, height, is_side=True)
+        return self._portions(place, body, corner[:, None], np.zeros(len(place)), normal, height, is_side=True)
 
     def by_distance(self, number: int, own: Obstacle) -> Limits:
         """Return the limits by an obstacle of which only distances are known."""
@@ -339,36 +351,54 @@ class _Here:
         place, row = np.nonzero(free <= 2 * self.moves.max())
         corners = self.ends[place, bodies[row]]
         normal, radius = np.broadcast_to(UNKNOWN, (len(place), 3)), np.zeros(len(place))
-        found = self._bounded(
-            number, place, bodies[row], corners, radius, normal, free[place, row], other=others[row]
-        )
+        found = self._portions(place, bodies[row], corners, radius, normal, free[place, row], other=others[row])
         return self._limits(number, place, bodies[row], found)
 
     def _limits(self, number: int, place, body, scale) -> Limits:
         kept = scale < self.most
         return Limits(place[kept], scale[kept], body[kept], np.full(int(kept.sum()), number))
 
-    def _scales(self, number: int, place, body, normal, height, is_piece: bool, **more) -> Float[np.ndarray, "P"]:
-        """Return the scales of pairs, with the bodies' capsules or pieces, in portions."""
-        corners = 2 if not is_piece else max(2, self.scene.pieces[0].shape[1])
-        size, found = max(1, NUMBERS // (9 * corners * len(self.scene.robot.slides))), np.zeros(len(place))
+    def _portions(self, place, body, corners, radius, normal, height, **more) -> Float[np.ndarray, "P"]:
+        """Return the scales of pairs, in portions."""
+        size = max(1, NUMBERS // (9 * corners.shape[1] * len(self.scene.robot.slides)))
+        found = np.zeros(len(place))
         for first in range(0, len(place), size):
             rows = slice(first, first + size)
-            own = {name: each if np.ndim(each) == 0 else each[rows] for name, each in more.items()}
-            shape = self._corners(place[rows], body[rows], is_piece)
-            found[rows] = self._bounded(number, place[rows], body[rows], *shape, normal[rows], height[rows], **own)
+            known = {name: each if np.ndim(each) == 0 else each[rows] for name, each in more.items()}
+            own = (each[rows] for each in (place, body, corners, radius, normal, height))
+            found[rows] = self._bounded(*own, **known)
         return found
 
     def _bounded(
-        self, number: int, place, body, corners, radius, normal, height, point=None, other=-1, other_body=-1, is_side=False
+        self,
+        place,
+        body,
+        corners,
+        radius,
+        normal,
+        height,
+        point=UNKNOWN,
+        other=-1,
+        other_body=-1,
+        is_side=False,
+        in_body=False,
     ) -> Float[np.ndarray, "P"]:
-        count = len(place)
-        point = np.broadcast_to(UNKNOWN, (count, 3)) if point is None else point
-        other, other_body, side = (np.broadcast_to(each, count) for each in (other, other_body, is_side))
-        known = (normal, height, point, side, other_body, np.full(count, number))
-        pairs = Pairs(place, body, other, corners, radius, *known)
-        scene = self.scene
+        count, scene = len(place), self.scene
+        point = np.broadcast_to(point, (count, 3))
+        other, other_body, is_side, in_body = (
+            np.broadcast_to(each, count) for each in (other, other_body, is_side, in_body)
+        )
+        pairs = Pairs(place, body, other, corners, radius, normal, height, point, is_side, other_body, in_body)
         return scales(scene.robot, scene.errors, self.at, self.levers, pairs, self.margin_m, self.most)
+
+    def _shapes(self, place, body, is_piece: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield corners and radius of convex parts of bodies: sections of capsules, or the pieces."""
+        corners, radius = self._corners(place, body, is_piece)
+        sections = 1 if is_piece else SECTIONS
+        p, d = corners[:, :1], corners[:, 1:2] - corners[:, :1]
+        for k in range(sections):
+            share = np.array([k, k + 1])[None, :, None] / sections
+            yield (corners if is_piece else p + share * d), radius
 
     def _corners(self, place, body, is_piece: bool) -> tuple[Float[np.ndarray, "P V 3"], Float[np.ndarray, "P"]]:
         """Return corners of bodies and the radius about them [m]; capsules of bodies without a piece."""
@@ -482,9 +512,7 @@ def _solid(number: int, solid) -> _Solid:
     return _Solid(number, own @ solid.rotation.T + solid.centre, 0.0, cylinder=solid if is_round else None)
 
 
-def normals_between(
-    bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray, "P W 3"]
-) -> Float[np.ndarray, "P 3"]:
+def normals_between(bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray, "P W 3"]) -> Float[np.ndarray, "P 3"]:
     """Return unit normals from convex features to convex bodies, by the points nearest to each other.
 
     The normals of bodies that overlap are arbitrary.
