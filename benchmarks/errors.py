@@ -291,7 +291,7 @@ def distances(case: Case, errors: ErrorSet) -> Callable:
         return R, centre + shift - R @ centre
 
     def measure(x, units):
-        robot, where, dof = scene.robot, scene.where, len(errors.joints)
+        robot, where, dof = scene.robot, jax.tree.map(jnp.asarray, scene.where), len(errors.joints)
         R, t = about(units[:3] * errors.part_shift_m, units[3:6] * errors.part_turn_rad, errors.part_about_m)
         T = where.T_world_workpiece
         T = jnp.asarray(T).at[:3, :3].set(R @ T[:3, :3]).at[:3, 3].set(R @ T[:3, 3] + t)
@@ -303,10 +303,10 @@ def distances(case: Case, errors: ErrorSet) -> Callable:
         R = F @ R @ F.T
         t = errors.T_link_tool[:3, 3] + F @ t - R @ errors.T_link_tool[:3, 3]
         tool = errors.is_tool[:, None]
-        ends = [jnp.where(tool, end @ R.T + t, end) for end in (robot.capsule_p, robot.capsule_q)]
+        ends = [jnp.where(tool, end @ R.T + t[None], end) for end in (robot.capsule_p, robot.capsule_q)]
         pieces = robot.pieces
         if pieces is not None:
-            own = jnp.where(tool[..., None], pieces.piece.vertices @ R.T + t, pieces.piece.vertices)
+            own = jnp.where(tool[..., None], pieces.piece.vertices @ R.T + t[None, None], pieces.piece.vertices)
             normals = jnp.where(tool[..., None], pieces.piece.normals @ R.T, pieces.piece.normals)
             flat = pieces.planes[..., :3] @ R.T
             planes = jnp.concatenate([flat, (pieces.planes[..., 3] + flat @ t)[..., None]], axis=-1)
