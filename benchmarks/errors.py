@@ -32,6 +32,7 @@ import scipy
 from jaxtyping import Bool, Float
 
 import htcp_jax
+from htcp_jax.caching import cache_folder
 from htcp_jax.clearance.obstacles.cloud import Cloud
 from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
@@ -49,7 +50,7 @@ from htcp_jax.spec import ErrorsConfig
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.validate import _compiled
 
-JOBS = "duct", "cone", "pipe", "palletizer", "positioner"
+JOBS = "duct", "cone", "pipe", "palletizer"
 SEED, MOST_RATIO, INSIDE = 5, 1.5, 0.9999
 ROWS, TOP, CORNERS, PASSES = 64, 6, 6, 4
 TOUCHES_M = 1e-9
@@ -87,6 +88,7 @@ def main() -> int:
     parser.add_argument("--job", nargs=2, action="append", default=[], help="a further job, and its motion")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")
+    cache_folder.enable()
     with TemporaryDirectory() as folder:
         kept = chosen.plans or Path(folder)
         cases = [planned(name, kept / name) for name in JOBS if chosen.only in name]
@@ -283,14 +285,30 @@ def _project(axis: Float[np.ndarray, "n 2 3"], point: Float[np.ndarray, "n 3"]) 
 
 def distances(case: Case, errors: ErrorSet) -> Callable:
     """Return a function of configurations and errors (as shares of the half-widths) that measures clearances [m]."""
-    scene: ErrorScene = scene_with(case.problem, errors)
+    batch = _MEASURES.setdefault(id(case.problem), _measure_of(scene_with(case.problem, errors)))
+
+    def measured(x: Float[np.ndarray, "n N"], units: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "n"]:
+        parts = []
+        for first in range(0, len(x), ROWS):
+            own = [np.resize(each[first : first + ROWS], (ROWS, each.shape[1])) for each in (x, units)]
+            parts.append(np.asarray(batch(*own, jax.tree.map(jnp.asarray, errors)))[: len(x) - first])
+        return np.concatenate(parts)
+
+    return measured
+
+
+_MEASURES: dict[int, Callable] = {}  # by problem, compiled once for all sets
+
+
+def _measure_of(scene: ErrorScene) -> Callable:
+    """Return the compiled function of configurations, shares of the half-widths, and errors."""
 
     def about(shift, turn, centre):
         angle = jnp.sqrt(jnp.sum(turn * turn) + 1e-30)
         R = axis_angle_matrix((turn / angle)[None], angle[None])[0]
         return R, centre + shift - R @ centre
 
-    def measure(x, units):
+    def measure(x, units, errors):
         robot, where, dof = scene.robot, jax.tree.map(jnp.asarray, scene.where), len(errors.joints)
         R, t = about(units[:3] * errors.part_shift_m, units[3:6] * errors.part_turn_rad, errors.part_about_m)
         T = where.T_world_workpiece
@@ -320,16 +338,7 @@ def distances(case: Case, errors: ErrorSet) -> Callable:
         obstacles = [replace(o, cover=o.cover + grows) if isinstance(o, Cloud) else o for o in scene.obstacles]
         return clearance(robot, tuple(obstacles), where, x + units[12 : 12 + dof] * errors.joints)
 
-    batch = jax.jit(jax.vmap(measure))
-
-    def measured(x: Float[np.ndarray, "n N"], units: Float[np.ndarray, "n s"]) -> Float[np.ndarray, "n"]:
-        parts = []
-        for first in range(0, len(x), ROWS):
-            own = [np.resize(each[first : first + ROWS], (ROWS, each.shape[1])) for each in (x, units)]
-            parts.append(np.asarray(batch(*own))[: len(x) - first])
-        return np.concatenate(parts)
-
-    return measured
+    return jax.jit(jax.vmap(measure, in_axes=(0, 0, None)))
 
 
 def first_collision(case: Case, errors: ErrorSet, found: ErrorScale, seed: int) -> float:
