@@ -3,8 +3,7 @@
 Errors e lie in a box of half-widths. The largest scale l is sought at which no error in the box times l causes a
 contact. A pair of a convex body and a convex feature of an obstacle is separated by the plane with the unit normal n
 through the feature's nearest point (Boyd and Vandenberghe, Convex Optimization, section 2.5): every point of the body
-is at least d beyond it. For any motion of both, the
-clearance remains at least
+is at least d beyond it. For any motion of both, the clearance remains at least
 
     d - max -n.u(a) - max n.v(b),
 
@@ -101,7 +100,7 @@ def levers_of(robot: Robot, places: Places) -> Levers:
 def scales(
     robot: Robot, errors: ErrorSet, places: Places, levers: Levers, pairs: Pairs, margin_m: float, most: float
 ) -> Float[np.ndarray, "P"]:
-    """Return each pair's scale, by a separating plane (section 2.5): no error in the set times it causes a contact of the pair on its interval.
+    """Return each pair's scale: no error in the set times it causes a contact of the pair on its interval.
 
     Args:
         robot: The robot.
