@@ -321,9 +321,7 @@ class _Here:
         T = np.asarray(where.T_world_workpiece)
         outward = np.asarray(own.hull.normal) @ T[:3, :3].T
         offset = np.asarray(own.hull.offset) + outward @ T[:3, 3]
-        by_plane = self._by_sides(
-            number, place, body, end, np.tile(-plane[:3], (len(place), 1)), -before[place, body, end]
-        )
+        by_plane = self._by_sides(place, body, end, np.tile(-plane[:3], (len(place), 1)), -before[place, body, end])
         open_ = np.flatnonzero(by_plane < self.most)
         in_hull = np.full(len(place), self.most)
         size = max(1, NUMBERS // max(1, len(offset)))
