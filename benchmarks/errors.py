@@ -45,7 +45,7 @@ from htcp_jax.proving import motion_curves, scene_of
 from htcp_jax.proving.curves import JointCurves
 from htcp_jax.proving.scaled_errors import ErrorScale, _bounded, _Open, error_scale, scene_with
 from htcp_jax.proving.scene import ProofScene
-from htcp_jax.proving.stated_errors import error_set
+from htcp_jax.proving.stated_errors import _tool_bodies, error_set
 from htcp_jax.spec import ErrorsConfig
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.validate import _compiled
@@ -301,7 +301,11 @@ _MEASURES: dict[int, Callable] = {}  # by problem, compiled once for all sets
 
 
 def _measure_of(scene: ErrorScene) -> Callable:
-    """Return the compiled function of configurations, shares of the half-widths, and errors."""
+    """Return the compiled function of configurations, shares of the half-widths, and errors.
+
+    Convex pieces are not moved, so that the tool must have none.
+    """
+    assert not (_tool_bodies(scene.robot) & scene.has_piece).any()
 
     def about(shift, turn, centre):
         angle = jnp.sqrt(jnp.sum(turn * turn) + 1e-30)
@@ -322,17 +326,7 @@ def _measure_of(scene: ErrorScene) -> Callable:
         t = errors.T_link_tool[:3, 3] + F @ t - R @ errors.T_link_tool[:3, 3]
         tool = errors.is_tool[:, None]
         ends = [jnp.where(tool, end @ R.T + t[None], end) for end in (robot.capsule_p, robot.capsule_q)]
-        pieces = robot.pieces
-        if pieces is not None:
-            own = jnp.where(tool[..., None], pieces.piece.vertices @ R.T + t[None, None], pieces.piece.vertices)
-            normals = jnp.where(tool[..., None], pieces.piece.normals @ R.T, pieces.piece.normals)
-            flat = pieces.planes[..., :3] @ R.T
-            planes = jnp.concatenate([flat, (pieces.planes[..., 3] + flat @ t)[..., None]], axis=-1)
-            pieces = pieces._replace(
-                piece=pieces.piece._replace(vertices=own, normals=normals),
-                planes=jnp.where(tool[..., None], planes, pieces.planes),
-            )
-        robot = replace(robot, capsule_p=ends[0], capsule_q=ends[1], pieces=pieces)
+        robot = replace(robot, capsule_p=ends[0], capsule_q=ends[1])
         where = replace(where, T_world_workpiece=T, interior_plane=plane)
         grows = jnp.abs(units[-1]) * errors.cloud_m
         obstacles = [replace(o, cover=o.cover + grows) if isinstance(o, Cloud) else o for o in scene.obstacles]

@@ -4,6 +4,7 @@ The slow version with 10,000 draws in each of 20 sets is `python -m benchmarks e
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import test_prove
 import toy
 
 from benchmarks import errors as draws
+from htcp_jax.clearance.proof import error_pairs
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.proving import error_scale, error_set, scale_text, scene_of, straight
@@ -164,3 +166,16 @@ def test_bad_errors_are_refused_with_one_line(past_the_ball, stated, words):
     with pytest.raises(InputError, match=words) as caught:
         error_set(scene.problem, scene.job, read_errors(stated))
     assert "\n" not in str(caught.value)
+
+
+def test_an_end_in_front_of_the_interior_may_be_displaced_up_to_the_interior_or_within_the_hull():
+    scene = scene_of("duct")
+    start, (cloud, interior) = np.array(scene.job.start_rad), scene.problem.obstacles
+    whole = error_set(scene.problem, scene.job, read_errors({"part": {"shift_m": 0.05, "turn_rad": 0.01}}))
+    found = {}
+    for number, each in enumerate(((cloud, interior), (cloud,), (interior,))):
+        known = replace(scene_with(scene.problem, whole), obstacles=each)
+        x = start[None]
+        limits = error_pairs.limits_at(known, known.places(x, 0 * x, 0 * x, 0 * x), 0.0, 16.0)
+        found[number] = float(limits.scale.min(initial=16.0))
+    assert found[0] == min(found[1], found[2]) and 0 < found[2] < 16
