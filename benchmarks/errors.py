@@ -37,7 +37,7 @@ from htcp_jax.clearance.obstacles.cloud import Cloud
 from htcp_jax.clearance.obstacles.obstacles import clearance
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.error_bound import ErrorSet
-from htcp_jax.clearance.proof.error_pairs import ErrorScene
+from htcp_jax.clearance.proof.error_scene import ErrorScene
 from htcp_jax.io.motions import controller_of, read_motion
 from htcp_jax.model import axis_angle_matrix
 from htcp_jax.motion import Problem

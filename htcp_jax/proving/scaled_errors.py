@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance.proof import error_bound, error_pairs
+from htcp_jax.clearance.proof import error_bound, error_pairs, error_scene
 from htcp_jax.device import devices
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Problem
@@ -47,11 +47,11 @@ class _Open(NamedTuple):
     half: Float[np.ndarray, "n"]  # half of the width [1]
 
 
-def scene_with(problem: Problem, errors: error_bound.ErrorSet) -> error_pairs.ErrorScene:
+def scene_with(problem: Problem, errors: error_bound.ErrorSet) -> error_scene.ErrorScene:
     """Return the scene of a problem's first scenario, with errors."""
     where = jax.tree.map(lambda leaf: leaf[0], problem.scenarios)
     robot = robots.lengthen_tool(problem.robot, float(where.tool_extension_m))
-    return error_pairs.ErrorScene(robot, problem.obstacles, where, errors)
+    return error_scene.ErrorScene(robot, problem.obstacles, where, errors)
 
 
 def error_scale(
@@ -115,7 +115,7 @@ def error_scale(
     )
 
 
-def _travel(scene: error_pairs.ErrorScene, curves: JointCurves, rows: _Open) -> Float[np.ndarray, "n"]:
+def _travel(scene: error_scene.ErrorScene, curves: JointCurves, rows: _Open) -> Float[np.ndarray, "n"]:
     """Return the largest displacement of a body from an interval's middle [m]."""
     parts = [np.zeros(0)]
     for first in range(0, len(rows.row), ROWS):
@@ -134,7 +134,7 @@ def _halved(rows: _Open) -> _Open:
     return _Open(np.tile(rows.row, 2), middle, np.tile(half, 2))
 
 
-def _bounded(scene: error_pairs.ErrorScene, curves: JointCurves, rows: _Open, margin_m: float, most: float):
+def _bounded(scene: error_scene.ErrorScene, curves: JointCurves, rows: _Open, margin_m: float, most: float):
     """Return the scale of each interval, and the body and the obstacle that decide it, -1 if none does."""
     count = len(rows.row)
     scale, body, obstacle = np.full(count, float(most)), np.full(count, -1), np.full(count, -1)

@@ -8,26 +8,20 @@ a body with a convex piece, both its capsule and its piece enclose the mesh, so 
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.distance import gjk
-from htcp_jax.clearance.distance.solids import Cylinder, HalfSpace, Polyhedron, Rod
-from htcp_jax.clearance.obstacles.cloud import Cloud
-from htcp_jax.clearance.obstacles.fixtures import CUBE, Fixtures, _prism
+from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacle, bodies_at
-from htcp_jax.clearance.obstacles.of_cell import PlacedCloud
 from htcp_jax.clearance.obstacles.of_workpiece import Interior
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.error_bound import (
     NOTHING,
-    ErrorSet,
     Levers,
     Pairs,
     Places,
@@ -35,14 +29,13 @@ from htcp_jax.clearance.proof.error_bound import (
     levers_of,
     scales,
 )
-from htcp_jax.model import Robot, kinematics
+from htcp_jax.clearance.proof.error_scene import ErrorScene, Points, Solid, normals_between, padded_count, placed
+from htcp_jax.model import Robot
 from htcp_jax.numerics import ragged_rows
 
-CLUSTER = 32  # maximum number of points in a cluster
 BALLS = 64  # maximum number of balls that cover a body for the search among points
 NUMBERS = 1 << 21  # entries of the largest table of a bound; more pairs are bounded in portions
 SECTIONS = 6  # sections of a capsule that are bounded one by one
-ROWS = 256  # smallest number of pairs whose normals are computed together
 UNKNOWN = np.full(3, np.nan)
 
 
@@ -55,109 +48,6 @@ class Limits(NamedTuple):
     obstacle: Int[np.ndarray, "P"]  # number of the obstacle
 
 
-@dataclass(frozen=True)
-class ErrorScene:
-    """A robot, its obstacles in one scenario, and the errors, for `limits_at`."""
-
-    robot: Robot  # with the scenario's tool
-    obstacles: tuple[Obstacle, ...]
-    where: HasWorkpiecePose
-    errors: ErrorSet
-
-    @cached_property
-    def clouds(self) -> dict[int, "_Points"]:
-        """Points of all clouds by the obstacle's number, in the root's frame."""
-        robot, found = self.robot, {}
-        links = np.array(robot.capsule_link)
-        for number, each in enumerate(self.obstacles):
-            if isinstance(each, Cloud):
-                is_checked = links >= 0 if robot.part_moves else np.ones(len(links), bool)
-                found[number] = _Points.of(each, np.asarray(self.where.T_world_workpiece), is_checked, True)
-            elif isinstance(each, PlacedCloud):
-                is_checked = (links >= 0) & ~np.isin(links, each.excluded)
-                found[number] = _Points.of(each.cloud, np.asarray(each.T_world), is_checked, False)
-        return found
-
-    @cached_property
-    def solids(self) -> dict[int, list["_Solid"]]:
-        """Solids of the cell by the obstacle's number."""
-        return {k: list(_solids(each)) for k, each in enumerate(self.obstacles) if isinstance(each, Fixtures)}
-
-    @cached_property
-    def ends(self) -> Float[np.ndarray, "K 2 3"]:
-        """Both ends of each capsule's axis, in its link's frame [m]."""
-        return np.stack([np.asarray(self.robot.capsule_p), np.asarray(self.robot.capsule_q)], axis=1)
-
-    @cached_property
-    def has_piece(self) -> Bool[np.ndarray, "K"]:
-        """True for bodies with a convex piece."""
-        count = len(self.robot.capsule_link)
-        return np.zeros(count, bool) if self.robot.pieces is None else np.asarray(self.robot.pieces.excess_m) > 0
-
-    @cached_property
-    def pieces(self) -> tuple[Float[np.ndarray, "K V 3"], Float[np.ndarray, "K"], Float[np.ndarray, "K D 4"]]:
-        """Vertices and radius of each body's piece [m], and the planes about it, in its link's frame."""
-        own = self.robot.pieces
-        return np.asarray(own.piece.vertices), np.asarray(own.piece.radius), np.asarray(own.planes)
-
-    def moves(self, places: Places, most: float) -> Float[np.ndarray, "n K"]:
-        """Return bounds on the displacement of each body's points, for all errors up to a scale [m]."""
-        ends, levers = _placed(self, places, self.ends), levers_of(self.robot, places)
-        return largest_moves(self.robot, self.errors, places, levers, ends, most)
-
-    def places(self, x, rates, turns, rest) -> Places:
-        """Return intervals with their links' frames, see `Places`."""
-        count = len(x)
-        most = _padded_count(count)
-        T = np.asarray(_link_poses(self.robot, jnp.asarray(np.resize(x, (most, x.shape[1])))))[:count]
-        root = np.broadcast_to(np.eye(4), (count, 1, 4, 4))
-        return Places(x, rates, turns, rest, np.concatenate([T, root], axis=1))
-
-
-class _Points(NamedTuple):
-    """Points of a cloud in clusters, which follow each other, and a tree of the clusters' middles."""
-
-    points: Float[np.ndarray, "P 3"]  # in the root's frame [m]
-    cover: float  # radius about each point [m]
-    first: Int[np.ndarray, "C"]  # first point of each cluster
-    count: Int[np.ndarray, "C"]  # number of its points
-    radius: Float[np.ndarray, "C"]  # of a ball about its middle [m]
-    tree: scipy.spatial.cKDTree
-    is_checked: Bool[np.ndarray, "K"]
-    of_part: bool
-
-    @classmethod
-    def of(cls, cloud: Cloud, T: Float[np.ndarray, "4 4"], is_checked: Bool[np.ndarray, "K"], of_part: bool):
-        points = np.asarray(cloud.points) @ T[:3, :3].T + T[:3, 3]
-        parts = _split(points, np.arange(len(points)))
-        middle = np.array([0.5 * (points[rows].min(axis=0) + points[rows].max(axis=0)) for rows in parts])
-        radius = [np.linalg.norm(points[rows] - own, axis=1).max() for rows, own in zip(parts, middle, strict=True)]
-        count, points = np.array(list(map(len, parts))), points[np.concatenate(parts)]
-        tree = scipy.spatial.cKDTree(middle)
-        first = np.cumsum(count) - count
-        return cls(points, float(cloud.cover), first, count, np.array(radius), tree, is_checked, of_part)
-
-    @property
-    def middle(self) -> Float[np.ndarray, "C 3"]:
-        return self.tree.data
-
-
-class _Solid(NamedTuple):
-    number: int  # row of `Fixtures.is_checked`
-    corners: Float[np.ndarray, "V 3"]  # of the solid, or of a prism about a cylinder [m]
-    radius: float  # about the corners [m]
-    plane: Float[np.ndarray, "4"] | None = None  # normal and offset of a half-space
-    cylinder: Cylinder | None = None
-
-    def height(self, normal: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
-        """Return the largest n.b of the solid's points [m]."""
-        if self.cylinder is None:
-            return (normal @ self.corners.T).max(axis=1) + self.radius
-        own, across = self.cylinder, normal @ np.asarray(self.cylinder.rotation)
-        round_ = float(own.radius) * np.hypot(across[:, 0], across[:, 1])
-        return normal @ np.asarray(own.centre) + round_ + float(own.half) * np.abs(across[:, 2])
-
-
 def limits_at(scene: ErrorScene, places: Places, margin_m: float, most: float) -> Limits:
     """Return the smallest scales in each interval; an interval without a row has at least `most`.
 
@@ -167,7 +57,7 @@ def limits_at(scene: ErrorScene, places: Places, margin_m: float, most: float) -
         margin_m: Required clearance [m].
         most: Largest scale to return [1].
     """
-    ends = _placed(scene, places, scene.ends)
+    ends = placed(scene, places, scene.ends)
     levers = levers_of(scene.robot, places)
     moves = largest_moves(scene.robot, scene.errors, places, levers, ends, most) + margin_m + NOTHING
     here = _Here(scene, places, levers, ends, moves, margin_m, most)
@@ -202,7 +92,7 @@ class _Here:
     def radius(self) -> Float[np.ndarray, "K"]:
         return np.asarray(self.scene.robot.capsule_radius)
 
-    def by_points(self, number: int, own: _Points) -> Limits:
+    def by_points(self, number: int, own: Points) -> Limits:
         """Return the limits by a cloud."""
         errors, most = self.scene.errors, self.most
         reach = self.moves
@@ -237,7 +127,7 @@ class _Here:
             found[rows] = np.maximum(found[rows], bounded(rows, normal, lowest - radius))
         return self._limits(number, place, body, found)
 
-    def by_solids(self, number: int, own: Fixtures, solids: Sequence[_Solid]) -> Limits:
+    def by_solids(self, number: int, own: Fixtures, solids: Sequence[Solid]) -> Limits:
         """Return the limits by solids of the cell."""
         low, high = self.ends.min(axis=2), self.ends.max(axis=2)
         is_checked, parts = np.asarray(own.is_checked), []
@@ -254,7 +144,7 @@ class _Here:
             parts.append(self._limits(number, place, body, self._by_solid(solid, place, body)))
         return _joined(parts)
 
-    def _by_solid(self, solid: _Solid, place, body) -> Float[np.ndarray, "P"]:
+    def _by_solid(self, solid: Solid, place, body) -> Float[np.ndarray, "P"]:
         found = np.zeros(len(place))
         for is_piece in (False, True):
             rows = (
@@ -342,7 +232,7 @@ class _Here:
     def by_distance(self, number: int, own: Obstacle) -> Limits:
         """Return the limits by an obstacle of which only distances are known."""
         rows, count = own.rows(self.scene.robot), len(self.at.x)
-        most = _padded_count(count)
+        most = padded_count(count)
         x = jnp.asarray(np.resize(self.at.x, (most, self.at.x.shape[1])))
         free = np.asarray(_free_radii(own, self.scene.robot, self.scene.where, x))[:count]
         bodies, others = np.array(rows.body), np.array(rows.other)
@@ -433,7 +323,7 @@ class _Here:
             near[rows] = self._over_pieces(place[rows], body[rows], point[rows])[0] <= within[rows]
         return near
 
-    def _points_near(self, own: _Points, reach: Float[np.ndarray, "n K"]):
+    def _points_near(self, own: Points, reach: Float[np.ndarray, "n K"]):
         """Return the interval, body and row of all points in clusters that are within `reach` of the bodies' axes."""
         p, q = self.ends[:, :, 0], self.ends[:, :, 1]
         length, wide = np.linalg.norm(q - p, axis=2), own.radius.max()
@@ -460,21 +350,6 @@ class _Here:
         return place[pair[at]], body[pair[at]], own.first[cluster[at]] + nth
 
 
-def _split(points: Float[np.ndarray, "P 3"], rows: Int[np.ndarray, "p"]) -> list[Int[np.ndarray, "_"]]:
-    """Return some points' rows in groups of at most CLUSTER near points."""
-    if len(rows) <= CLUSTER:
-        return [rows]
-    own = points[rows]
-    axis, half = int(np.ptp(own, axis=0).argmax()), len(rows) // 2
-    order = np.argpartition(own[:, axis], half)
-    return _split(points, rows[order[:half]]) + _split(points, rows[order[half:]])
-
-
-def _placed(scene: ErrorScene, places: Places, corners: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "n K V 3"]:
-    T = places.T[:, np.array(scene.robot.capsule_link)]
-    return np.einsum("nkij,kvj->nkvi", T[..., :3, :3], corners) + T[:, :, None, :3, 3]
-
-
 def _on_axis(ends: Float[np.ndarray, "P 2 3"], point: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
     """Return the points of axes that are nearest to points [m]."""
     d = ends[:, 1] - ends[:, 0]
@@ -485,65 +360,6 @@ def _on_axis(ends: Float[np.ndarray, "P 2 3"], point: Float[np.ndarray, "P 3"]) 
 def _joined(parts: Sequence[Limits]) -> Limits:
     none = np.zeros(0, int)
     return Limits(*map(np.concatenate, zip(Limits(none, np.zeros(0), none, none), *parts, strict=True)))
-
-
-def _solids(own: Fixtures) -> Iterator[_Solid]:
-    """Yield the solids of a cell, without padding."""
-    number = 0
-    for stack in (*own.simple, *(() if own.pieces is None else (own.pieces,))):
-        leaves, kind = [np.asarray(leaf) for leaf in stack], type(stack)
-        for row in range(len(leaves[0])):
-            if own.names[number]:
-                yield _solid(number, kind(*(leaf[row] for leaf in leaves)))
-            number += 1
-
-
-def _solid(number: int, solid) -> _Solid:
-    if isinstance(solid, HalfSpace):
-        return _Solid(number, np.zeros((1, 3)), 0.0, np.append(solid.normal, solid.offset))
-    if isinstance(solid, Rod):
-        return _Solid(number, np.stack([solid.p, solid.q]), float(solid.radius))
-    if isinstance(solid, Polyhedron):
-        return _Solid(number, np.unique(solid.corners.reshape(-1, 3), axis=0), 0.0)
-    is_round = isinstance(solid, Cylinder)
-    own = _prism(float(solid.radius), float(solid.half)) if is_round else CUBE * solid.half
-    return _Solid(number, own @ solid.rotation.T + solid.centre, 0.0, cylinder=solid if is_round else None)
-
-
-def normals_between(bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray, "P W 3"]) -> Float[np.ndarray, "P 3"]:
-    """Return unit normals from convex features to convex bodies, by the points nearest to each other.
-
-    The normals of bodies that overlap are arbitrary.
-
-    Args:
-        bodies: Corners of the bodies [m].
-        others: Corners of the features [m].
-    """
-    count = len(bodies)
-    most = _padded_count(count, ROWS)
-    padded = (jnp.asarray(np.resize(each, (most, *each.shape[1:]))) for each in (bodies, others))
-    normal = np.asarray(_normals(*padded))[:count]
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.where(length > 0.5, normal / np.maximum(length, 0.5), np.array([0.0, 0.0, 1.0]))
-
-
-def _padded_count(count: int, least: int = 64) -> int:
-    return least * 2 ** max(0, int(np.ceil(np.log2(max(1, count) / least))))
-
-
-@jax.jit
-@jax.vmap
-def _normals(body, other):
-    def lowest(corners, direction):
-        return corners[jnp.argmin(corners @ direction)]
-
-    return gjk.nearest(partial(lowest, body), partial(lowest, other)).normal
-
-
-@jax.jit
-@partial(jax.vmap, in_axes=(None, 0))
-def _link_poses(robot: Robot, x):
-    return kinematics.link_poses(robot, x)
 
 
 @jax.jit
