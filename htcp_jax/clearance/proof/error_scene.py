@@ -188,7 +188,7 @@ def normals_between(bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray
 
 
 def padded_count(count: int, least: int = 64) -> int:
-    """Return the smallest of `least` times a power of 2 that is not less than `count`, so that few sizes are compiled."""
+    """Return the smallest `least` times a power of 2 that is not less than `count`, for few compiled sizes."""
     return least * 2 ** max(0, int(np.ceil(np.log2(max(1, count) / least))))
 
 
