@@ -98,7 +98,7 @@ def main() -> int:
         case = cases[number % len(cases)]
         found = tested(
             case,
-            stated(case.problem.robot.dof, number // len(cases) + number, SEED + number),
+            stated(case.problem.robot.dof, number // len(cases) + 2 * number, SEED + number),
             chosen.draws,
             SEED + number,
         )
