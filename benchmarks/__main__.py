@@ -27,6 +27,7 @@
     python -m benchmarks strangers         jobs on published arms, checked with their original meshes
     python -m benchmarks missed-contacts   configurations of arms that are called clear, checked with the arms' meshes
     python -m benchmarks prove             motions of any tool: known truths, sampled checks, proven segments a second
+    python -m benchmarks errors            proven errors of part, tool and joints: draws by MuJoCo, first collisions
     python -m benchmarks shape             sizes and depth of imports of the source, compared with other checkouts
     python -m benchmarks mutants           mutation testing: 60 small faults in the mathematics and the planners
 
@@ -64,6 +65,7 @@ CASES = (
     "strangers",
     "missed-contacts",
     "prove",
+    "errors",
     "shape",
     "mutants",
 )

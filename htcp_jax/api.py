@@ -26,6 +26,7 @@ from htcp_jax.motion import start_cause as start_causes
 from htcp_jax.notebook import html_facts
 from htcp_jax.planning import LostPlace, RefusedSegment, batch, lost_place, refused_segment, registry
 from htcp_jax.planning import methods as planning_methods
+from htcp_jax.proving import ErrorScale, error_scale, error_set, errors_record, prove_curves, scale_text, straight
 from htcp_jax.reachability import Obstruction
 from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, failure_texts, plan_folder, provenance, summarise_motion
@@ -97,6 +98,7 @@ class Plan:
             **({} if self.order is None else self.order.facts()),
             **self.motion_summary.facts(),
             **self._way_back(),
+            **self._errors(),
             **self._reduced_margin(),
             **self._length(),
             **self._joint_step(),
@@ -172,6 +174,22 @@ class Plan:
         if back_m is None or not back_m < self.motion_summary.clearance_m:
             return {}
         return {"way back home": f"guaranteed clearance at least {1e3 * back_m:.3g} mm"}
+
+    @cached_property
+    def error_scale(self) -> ErrorScale | None:
+        """Largest scale of the job's errors with which the motion stays proven; None without errors, or a motion."""
+        x = self.motion().x
+        if self.job.errors is None or len(x) < 2:
+            return None
+        curves = straight(x)
+        with devices.on(devices.choose(self.device)[0]):
+            if not prove_curves(self._problem, curves).proven:  # as far as it leads, a motion is proven with a margin
+                return None
+            return error_scale(self._problem, curves, error_set(self._problem, self.job, self.job.errors))
+
+    def _errors(self) -> dict[str, str]:
+        """Return a line with the largest scale of the job's errors that is proven; {} without errors."""
+        return {} if self.job.errors is None else {"errors": scale_text(self.job.errors, self.error_scale)}
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""
@@ -411,6 +429,8 @@ class Plan:
         known["motion"] = self.motion_summary.record()
         if self.order is not None:
             known["order"] = self.order.record()
+        if self.job.errors is not None:
+            known["errors"] = errors_record(self.job.errors, self.error_scale)
         if (joint := self.motion_summary.joint_step_joint) is not None:
             known["motion"]["joint_step_joint"] = self.robot.joint_names[joint]
         at = self._least_manipulability
@@ -563,9 +583,20 @@ def plan_job(
         problem = Problem.of(
             robot, workpiece, scenario, job.settings, task, all_obstacles, execution, check_starts=True
         )
+        _check_errors(problem, job)
         plans = batch.plan(problem, chosen, progress)
         robot, scenario = with_own_tool(robot, scenario)
     return Plan(job, robot, workpiece, scenario, plans, all_obstacles, device, arguments=arguments)
+
+
+def _check_errors(problem: Problem, job: PlanConfig) -> None:
+    """Check that the problem has what the job states errors of.
+
+    Raises:
+        InputError: See `proving.error_set`.
+    """
+    if job.errors is not None:
+        error_set(problem, job, job.errors)
 
 
 def _plan_seams(
@@ -581,6 +612,7 @@ def _plan_seams(
     all_obstacles, names = jobs.build.obstacles_of(job.cell, robot), [seam.name for seam in job.workpiece.seams]
     about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
     problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
+    _check_errors(problem, job)
     began = time.perf_counter()
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     speed = joint_speeds(robot, job)

@@ -43,6 +43,14 @@ Tracking = Annotated[
         "joints an angle and a length: 0.1deg,0.2mm.",
     ),
 ]
+Errors = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.yaml",
+        help="Half-widths of errors of the part's place, the tool, the joints and the cloud, in place of the job's "
+        "section errors. The largest scale of them that stays proven is printed.",
+    ),
+]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
 
 
@@ -54,6 +62,7 @@ def prove(
     interpolation: Interpolation = None,
     margin: Margin = None,
     tracking: Tracking = None,
+    errors: Errors = None,
     overrides: Overrides = None,
     out: Out = Path("out/prove"),
     device: Device = None,
@@ -68,13 +77,14 @@ def prove(
     Also reported: joint limits, and where the job has a path, the distance of the TCP from it.
 
     Exit codes: 0 if all segments are proven, 1 if one is refuted or a joint limit is violated, 4 if none is refuted but
-    some are undecided or cannot be proven, 2 on bad input.
+    some are undecided or cannot be proven, or the motion is not proven for the errors stated, 2 on bad input.
 
     \b
     Examples:
       htcp prove program.mod --job cell.yaml
       htcp prove trajectory.csv --job cell.yaml --unit deg --margin 1mm
       htcp prove trajectory.yaml --job cell.yaml --tracking 0.1deg --out out/proof
+      htcp prove trajectory.csv --job cell.yaml --errors errors.yaml
     """
     began = time.perf_counter()
     margin_m = 0.0 if margin is None else quantity("--margin", margin, LENGTHS, "1mm")
@@ -97,6 +107,7 @@ def prove(
                 margin_m=margin_m,
                 tracking_rad=angle,
                 tracking_m=length,
+                errors=errors,
                 device=device,
                 progress=show,
             )
@@ -162,6 +173,8 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
         sizes = zip(tracking.tolist(), found.sliding, strict=True)
         texts = [f"{1e3 * off:.4g} mm" if slides else f"{math.degrees(off):.4g} deg" for off, slides in sizes]
         facts["tracking"] = f"joints within {' or '.join(dict.fromkeys(texts))} of the motion"
+    if text := proof_record.errors_text(found):
+        facts["errors"] = text
     for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
         uses = [proof_record.limit_text(use) for use in found.limits if use.quantity == quantity_]
         facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)

@@ -3,11 +3,14 @@ from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
 from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
+from .scaled_errors import ErrorScale, error_scale
 from .scene import ProofScene, scene_of
+from .stated_errors import error_set, errors_record, scale_text
 from .worst import Contact, deepest_contact, deepest_contacts
 
 __all__ = [
     "Contact",
+    "ErrorScale",
     "FileProof",
     "JointCurves",
     "MotionProof",
@@ -16,6 +19,9 @@ __all__ = [
     "corners",
     "deepest_contact",
     "deepest_contacts",
+    "error_scale",
+    "error_set",
+    "errors_record",
     "motion_curves",
     "polynomials",
     "proof_record",
@@ -24,6 +30,7 @@ __all__ = [
     "prove_file",
     "prove_program",
     "prove_with_exact_corners",
+    "scale_text",
     "scene_of",
     "straight",
 ]

@@ -32,9 +32,11 @@ from htcp_jax.proving.path_deviation import (
     tcp_positions,
 )
 from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
+from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
+from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
 from htcp_jax.proving.worst import Contact, deepest_contacts
-from htcp_jax.spec import ObstacleKind, TaskRowKind
+from htcp_jax.spec import ErrorsConfig, ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
 
 MOST_CONTACTS = 200  # refuted and undecided segments of which the deepest contact is measured
@@ -61,6 +63,8 @@ class FileProof:
     deviation: PathDeviation | None  # None: no path, or no configuration near it
     near_m: float | None  # distance within which configurations count as on the job's path [m]; None: no path
     seconds: float  # time of reading, building the scene and proving [s]
+    errors: ErrorsConfig | None = None  # errors of which the largest proven scale is stated; None: none
+    error_scale: ErrorScale | None = None  # it; None: no errors, or the motion is not proven
 
     @property
     def verdict(self) -> str:
@@ -104,6 +108,7 @@ def prove_file(
     margin_m: float = 0.0,
     tracking_rad: float | Sequence[float] = 0.0,
     tracking_m: float | None = None,
+    errors: Errors | None = None,
     kept: float = KEPT,
     device: str | None = None,
     progress: Progress = lambda what, done, count: None,
@@ -123,6 +128,8 @@ def prove_file(
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
         tracking_m: That of sliding joints, if `tracking_rad` is one value [m]; None: required if there are any.
+        errors: Half-widths of errors, in place of the job's: a YAML file, or a mapping with its keys. The proof then
+            has the largest scale of them up to which the motion stays proven.
         kept: See `htcp_jax.prove`.
         device: The device; None: a GPU if there is one.
         progress: Function that is called with the current step as text, and the numbers of finished and all parts.
@@ -135,11 +142,14 @@ def prove_file(
     """
     began, file = time.perf_counter(), Path(file)
     check_margin(margin_m)
+    stated = None if errors is None else read_errors(errors)
     scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
     problem, job = scene.problem, scene.job
     data = () if job is None else (controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
     found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
     lag = _tracking(problem.robot, tracking_rad, tracking_m)
+    stated = job.errors if stated is None and job is not None else stated
+    numbers = None if stated is None else error_set(problem, job, stated)
     about = {
         "file": file,
         "scene": scene,
@@ -148,7 +158,7 @@ def prove_file(
         "joints": problem.robot.joint_names,
     }
     about["near_m"] = near_path_m(problem) if scene.has_part and has_path(problem) else None
-    about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag}
+    about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag, "errors": stated}
     with devices.on(problem.devices[0]):
         if found.poses is not None:
             deviation = pose_deviation(problem, found.poses[:, :3, 3]) if scene.has_part else None
@@ -169,6 +179,15 @@ def prove_file(
             progress=lambda done, count: progress("paths", done, count),
         )
         proof = tighten(problem, curves.within(lag), proof, margin_m=margin_m, kept=kept)
+        scale = None
+        if numbers is not None and proof.proven:
+            scale = error_scale(
+                problem,
+                curves.within(lag),
+                numbers,
+                margin_m=margin_m,
+                progress=lambda done, count: progress("intervals with errors", done, count),
+            )
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         # Refuted segments come before undecided ones.
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
@@ -186,6 +205,7 @@ def prove_file(
         limits=limits,
         deviation=deviation,
         seconds=time.perf_counter() - began,
+        error_scale=scale,
     )
 
 

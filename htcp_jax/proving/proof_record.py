@@ -9,6 +9,7 @@ import pyarrow as pa
 from htcp_jax.io import arrays
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
+from htcp_jax.proving.stated_errors import errors_record, scale_text
 from htcp_jax.runs import columns, provenance
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import files, output_files
@@ -48,10 +49,11 @@ class UnprovenGroup(NamedTuple):
 
 
 def exit_code(found: FileProof) -> int:
-    """Return the exit code of `htcp prove`: 0, REFUTED also for a violated limit, or UNDECIDED."""
+    """Return the exit code of `htcp prove`: 0, REFUTED also for a violated limit, or UNDECIDED also for errors."""
     if found.verdict == "refuted" or found.violated:
         return REFUTED
-    return 0 if found.verdict == "proven" else UNDECIDED
+    too_small = found.error_scale is not None and found.error_scale.scale < 1
+    return UNDECIDED if found.verdict != "proven" or too_small else 0
 
 
 def segment_rows(found: FileProof) -> list[dict[str, Any]]:
@@ -209,6 +211,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "limits": [use._asdict() for use in found.limits],
         "limits_violated": bool(found.violated),
         "deviation": _deviation_record(found),
+        "errors": found.errors and errors_record(found.errors, found.error_scale),
         "queries": 0 if proof is None else int(proof.queries.sum()),
         "seconds": found.seconds,
     }
@@ -218,6 +221,14 @@ def _deviation_record(found: FileProof) -> dict[str, Any] | None:
     if (deviation := found.deviation) is None:
         return None
     return deviation._asdict() | {"rows": [row._asdict() for row in deviation.rows]}
+
+
+def errors_text(found: FileProof) -> str:
+    """Return the largest scale of the errors that is proven, and where it is decided, as text; "" without errors."""
+    if found.errors is None:
+        return ""
+    text, scale = scale_text(found.errors, found.error_scale), found.error_scale
+    return text if scale is None or scale.segment is None else f"{text}, decided on {_where(found, scale.segment)}"
 
 
 def limit_text(use: LimitUse) -> str:

@@ -39,6 +39,7 @@ from .config_file import (
     put_key,
 )
 from .defaults import DEPENDENT, SOURCES, is_other_arm, keys_of, value_at
+from .errors_config import ErrorsConfig
 from .examples import example_or_path, read_mapping
 from .kinds import ExtensionKind, Slot, Template, kind_fault, numbers_of, template_of, with_arrays
 from .model_source import ROBOT, WORLD, ComposedModel, ModelSource, PlacedModel, label_of, split_name
@@ -82,6 +83,7 @@ __all__ = [
     "CellConfig",
     "CloudConfig",
     "ComposedModel",
+    "ErrorsConfig",
     "ExtensionKind",
     "LengthUnit",
     "Maker",

@@ -36,6 +36,7 @@ from htcp_jax.spec.choices import (
 )
 from htcp_jax.spec.config_file import BUILT_IN_ARM, DUCT, LIMIT_PROFILES, NO_CLOUD, merged
 from htcp_jax.spec.defaults import own_defaults
+from htcp_jax.spec.errors_config import ErrorsConfig
 from htcp_jax.spec.feed import Feed
 from htcp_jax.spec.given_kinds import Row, kind_validator, needs_kind, record_of
 from htcp_jax.spec.model_source import WORLD
@@ -443,6 +444,8 @@ class PlanConfig(strict_model.FileSection):
     method: str = "beam"
     settings: Settings = Settings()
     program: ProgramConfig = ProgramConfig()
+    # errors for which proofs state their largest scale; without influence on plans
+    errors: ErrorsConfig | None = Field(None, exclude_if=lambda errors: errors is None)
     ray: RayConfig = RayConfig()
 
     @model_validator(mode="before")

@@ -5,6 +5,9 @@ is clear; its `Tube` is the region in which the TCP must stay. `motion_bound` bo
 `margin` is the clearance that a proof requires. `bisection` has the result, a `Proof` with a `PathVerdict`, and the
 state of a search in progress, `Bisection`. `known_rows` bounds distances by those measured at other configurations.
 
+`error_bound` bounds the scale up to which errors of part, tool and joints cause no contact, for the pairs that
+`error_pairs` finds.
+
 `row_proof` proves that a path satisfies the task's rows. `exclusion` proves, from the tool's bodies, that no
 configuration with the tool's orientation in a given cell is clear; it and `branch_exclusion` use the rest
 of the arm, too.

@@ -1,4 +1,16 @@
-from . import bisection, branch_exclusion, exclusion, joint_path, known_rows, margin, motion_proof, row_proof
+from . import (
+    bisection,
+    branch_exclusion,
+    error_bound,
+    error_pairs,
+    error_scene,
+    exclusion,
+    joint_path,
+    known_rows,
+    margin,
+    motion_proof,
+    row_proof,
+)
 from .motion_bound import OUTSIDE_M, ROUNDING_M, arm_points, lever_bounds
 
 __all__ = [
@@ -7,6 +19,9 @@ __all__ = [
     "arm_points",
     "bisection",
     "branch_exclusion",
+    "error_bound",
+    "error_pairs",
+    "error_scene",
     "exclusion",
     "joint_path",
     "known_rows",
