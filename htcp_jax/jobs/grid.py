@@ -17,7 +17,7 @@ scenario's number is its index in the complete grid. It determines the scenario'
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -79,25 +79,26 @@ class Sweep:
         groups = tuple(group.with_value("settings.qp", AUTO_QP, auto) for group in self.groups)
         return replace(self, config=self.config.model_copy(update={"settings": settings}), groups=groups)
 
-    def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
-        """Return number and configuration of the first `limit` scenarios; None: of all.
+    def points(self, limit: int | None = None, numbers: Collection[int] | None = None) -> tuple[ScenarioPoint, ...]:
+        """Return number and configuration of the first `limit` scenarios, or of those with some numbers; None: of all.
 
         Raises:
             InputError: If a value is out of its range.
         """
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
-        points = points_of(self.name, self.config, self.groups, self.stated, len(self.robot.joint_names))
+        only = None if numbers is None else {*numbers}
+        points = points_of(self.name, self.config, self.groups, self.stated, len(self.robot.joint_names), only)
         return tuple(itertools.islice(points, limit))
 
-    def batch(self, limit: int | None = None) -> Batch:
-        """Build the first `limit` scenarios with their planner inputs; None: all.
+    def batch(self, limit: int | None = None, numbers: Collection[int] | None = None) -> Batch:
+        """Build the first `limit` scenarios with their planner inputs, or those with some numbers; None: all.
 
         Raises:
             InputError: If a start is outside the joint limits, or if the robots have different joints. The message
                 names the scenario.
         """
-        return batch_of(self.name, self.config, self.robot, self.points(limit), self.alone)
+        return batch_of(self.name, self.config, self.robot, self.points(limit, numbers), self.alone)
 
 
 def load_sweep(
