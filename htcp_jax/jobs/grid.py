@@ -6,6 +6,10 @@
       - workpiece.rotation_y_rad: [0.4, 0.5]           # parameters of one axis vary jointly (zipped)
         workpiece.rotation_z_rad: [0.1, 0.2]           # this grid has 3 x 2 scenarios
 
+In place of a list, values and offsets may be drawn: `{uniform: [LOW, HIGH], count: N}`, `{normal: [MEAN, SIGMA],
+count: N}`, or `{offsets: {normal: [0, 0.1], count: N}}`. The seed (`settings.seed`) and the parameter's name determine
+the draws, so other axes do not change them, and a larger count appends values. The drawn values are recorded.
+
 A parameter is any key of the configuration except `method`, `program` and `ray`, see `grid_axes`. A joint is given by
 its number, from 1, or by its name. Axes are applied in order: one axis may set `start_rad`, and later axes may change
 single joints. If the job has several seams, the last axis is `seam`, over all of them, unless the grid has this axis.
@@ -135,7 +139,7 @@ def load_sweep(
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
-        group = read_grid(where, path.parent, name, axes, robot.joint_names)
+        group = read_grid(where, path.parent, name, axes, robot.joint_names, base.settings.seed)
         groups.append(with_seams(group, base.workpiece.seams, where))
         for key in first.keys() - groups[-1].keys:
             raise InputError(f"{where}: {key} varies in another group; it must vary in every group")
