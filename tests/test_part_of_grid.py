@@ -66,6 +66,17 @@ def test_a_run_of_chosen_scenarios_grows_to_more_of_them_and_to_the_complete_gri
         sweep(GRID, "baseline", here / "run", scenarios=[1, 3])
 
 
+def test_a_run_has_a_table_of_its_shards_with_their_times(here, full):
+    run = sweep(GRID, "baseline", here / "run", scenarios=[1, 3, 7], shard_scenarios=2)
+    shards = run.frame("shards")
+    assert shards[["first", "last", "scenarios", "targets", "tracked"]].values.tolist() == [
+        [1, 3, 2, 16, 16],
+        [7, 7, 1, 8, 8],
+    ]
+    assert (shards.run_s > 0).all() and shards.run_s.sum() == run.manifest.seconds["baseline"].run_s
+    assert shards.device[0].startswith("cpu") and shards.package.isna().all()
+
+
 def test_a_stopped_sample_is_resumed(here, full):
     def stop(shard):
         raise KeyboardInterrupt

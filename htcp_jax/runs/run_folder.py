@@ -52,6 +52,16 @@ from htcp_jax.system import files as io_files
 if TYPE_CHECKING:
     import pandas
 
+METHOD_NOUN = "method"  # of the keys of `Manifest.plugins` that name methods
+SHARDS = pa.schema(
+    [
+        ("method", pa.string()),
+        *((name, pa.int64()) for name in ("first", "last", "scenarios", "targets", "tracked")),
+        *((name, pa.float64()) for name in ("run_s", "compile_s")),
+        *((name, pa.string()) for name in ("device", "commit", "package")),
+    ]
+)
+
 
 class Run:
     """Results of a sweep, read from its folder. The columns of its tables are described in `columns`."""
@@ -83,14 +93,16 @@ class Run:
         """Return one of the run's tables as a pandas frame.
 
         Args:
-            table: "scenarios" or "targets".
+            table: "scenarios", "targets" or "shards".
             *methods: Names of methods; without names, all methods.
 
         Raises:
             InputError: See `targets`; also if the table is unknown or pandas is not installed.
         """
-        if table not in TABLES:
-            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
+        if table not in (*TABLES, "shards"):
+            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets, shards")
+        if table == "shards":
+            return table_frame((self.only(methods) if methods else self).shards())
         return table_frame(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
 
     def only(self, methods: Collection[str]) -> "Run":
@@ -168,6 +180,28 @@ class Run:
             InputError: See `targets`; also if a file of times is damaged.
         """
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
+
+    def shards(self) -> pa.Table:
+        """Return one row per finished shard: its scenarios, its times, and what planned it.
+
+        The scenarios of a shard are planned together, so times of single scenarios are unknown: `run_s` is the wall
+        time of planning, without `compile_s`, the wall time of compilation [s]. `package` is the installed package and
+        version of a method that is not built in. The times are in manifest.json only, so that equal plans give equal
+        tables.
+        """
+        manifest, rows = self.manifest, []
+        for shard in manifest.shards:
+            by = manifest.planned_by[shard.planned_by]
+            rows.append(
+                {
+                    **shard.model_dump(include={"method", "first", "last", "tracked", "run_s", "compile_s"}),
+                    "scenarios": shard.scenarios.rows,
+                    "targets": shard.targets.rows,
+                    **{name: by.get(name) for name in ("device", "commit")},
+                    "package": manifest.plugins.get(f"{METHOD_NOUN} {shard.method}"),
+                }
+            )
+        return pa.Table.from_pylist(rows, SHARDS)
 
     def timing(self, method: str) -> Timing | None:
         """Return the times of a method; None if the method has not been timed.
