@@ -19,7 +19,7 @@ from typing import Any
 
 from htcp_jax.backend import default_device
 from htcp_jax.device import devices
-from htcp_jax.errors import InputError, Interrupted, Lost
+from htcp_jax.errors import InputError, Interrupted, Lost, did_you_mean
 from htcp_jax.jobs import Batch, Sweep, chosen_numbers, grid_axes, load_sweep, seeded
 from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import Progress as ShardProgress
@@ -200,7 +200,8 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
     for name in names:
         if name not in registry.names():
-            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(registry.names())}")
+            known = registry.names()
+            raise InputError(f"unknown method {name!r}; {did_you_mean(name, known)}valid: all, {', '.join(known)}")
         planning_methods.find(name)
     for name in names:
         if names.count(name) > 1:
