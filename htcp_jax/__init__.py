@@ -12,7 +12,7 @@
 
 Kinematics, clearance and the null-space objective are pure functions of arrays, for jax.grad, jax.vmap and jax.jit:
 
-    jax.grad(htcp_jax.clearance.clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
+    jax.grad(htcp_jax.minimum_clearance, argnums=3)(plan.robot, obstacle, plan.scenario, x)
 
 The names in `__init__.pyi` are public; each is loaded when it is first used. The first use of any of them also enables
 the cache of compiled functions (see `cache_folder`) and the display of figures in notebooks. Every subpackage
@@ -48,8 +48,11 @@ _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str):
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version(__name__)
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(__all__)}")
+        hint = importlib.import_module("htcp_jax.errors").did_you_mean(name, __all__)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; {hint}public names: {', '.join(__all__)}")
     importlib.import_module("htcp_jax.caching.cache_folder").enable()
     importlib.import_module("htcp_jax.notebook").show_figures()
     return _load(name)

@@ -1,7 +1,7 @@
 from . import clearance
 from .api import Plan, methods, plan
 from .clearance.obstacles.linearisation import linearise
-from .clearance.obstacles.obstacles import clearances
+from .clearance.obstacles.obstacles import clearances, minimum_clearance
 from .clearance.obstacles.of_workpiece import make_obstacle
 from .errors import InputError
 from .io.parts.workpiece_source import GeneratedDuct, NoCloud, PointCloud, TriangleMesh, load_workpiece
@@ -30,6 +30,8 @@ from .spec.task_list import AxisRow, OrientationRow, PointRow
 from .spec.task_row_kind import TaskRowKind
 from .status import Status
 from .trajectory.run_timing import time_run
+
+__version__: str
 
 __all__ = [
     "AxisRow",
@@ -66,6 +68,7 @@ __all__ = [
     "make_report",
     "make_scenario",
     "methods",
+    "minimum_clearance",
     "null_basis",
     "null_space_objective",
     "open_run",

@@ -1,6 +1,8 @@
 """Exceptions and warnings that users see, and the wording of pydantic's errors."""
 
+import difflib
 import reprlib
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -26,6 +28,12 @@ class Interrupted(Exception):
 
 class Lost(Exception):
     """Raised when the worker processes or machines of a sweep are lost. The message names the saved results."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the question for a similar known name, such as "did you mean beam? "; "" if no name is similar."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"did you mean {close[0]}? " if close else ""
 
 
 def described(error: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import jax
 import numpy as np
@@ -16,6 +17,7 @@ from matplotlib.figure import Figure
 import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import Note
+from htcp_jax.jobs import load_sweep
 from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.motion import Problem
 from htcp_jax.planning import batch, registry
@@ -59,6 +61,24 @@ def test_a_plan_is_a_frame_a_figure_and_a_table(short, tmp_path):
     assert "capsule_6c (30 mm)" in plan.robot._repr_html_() and "50,015 points" in plan.workpiece._repr_html_()
     plan.save(tmp_path / "out")
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["tracked"] == 13
+
+
+def test_objects_with_long_arrays_have_short_texts(short):
+    scene = load_sweep({"grid": [{"workpiece.rotation_y_rad": [0.4, 0.5]}]}, overrides=short).batch()
+    cloud = htcp_jax.make_obstacle(scene.workpiece)[0]
+    assert repr(scene.robot) == "Robot(gp50: 6 joints, 8 capsules)"
+    assert repr(scene.workpiece).startswith("Workpiece(duct: 50,015 points, a path of ")
+    assert repr(scene.scenarios) == "Scenario(2 scenarios, 13 targets)" and repr(cloud) == "Cloud(50015 points)"
+    assert "Scenario" in repr(jax.tree.map(lambda _: None, scene.scenarios))  # as in messages of JAX
+
+
+def test_a_misspelt_name_is_answered_with_a_similar_one():
+    assert htcp_jax.__version__.count(".") == 2
+    with pytest.raises(AttributeError, match=r"did you mean sweep\? public names: AxisRow, "):
+        _ = htcp_jax.swep
+    for call in (partial(htcp_jax.plan, method="baselin"), partial(htcp_jax.sweep, "sweeps/robot", "baselin")):
+        with pytest.raises(htcp_jax.InputError, match=r"did you mean baseline\? valid: "):
+            call()
 
 
 def test_the_smallest_manipulability_is_that_of_the_path_without_its_approach(short):

@@ -207,7 +207,7 @@ def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
 
 
 def test_the_mathematics_is_there_by_name_and_clearance_is_in_its_room():
-    for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "clearances", "linearise", "null_basis"):
+    for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "minimum_clearance", "linearise"):
         assert callable(getattr(htcp_jax, name)) and name in htcp_jax.__all__
     from htcp_jax.clearance import clearance
 

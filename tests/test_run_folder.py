@@ -19,7 +19,7 @@ from htcp_jax.motion.plans import ARRAYS, NO_TARGET
 from htcp_jax.motion.sparse_columns import DeadEnds, Tried
 from htcp_jax.runs import Run, open_run, tables, writer
 from htcp_jax.runs.identity import config_hash, identity
-from htcp_jax.runs.manifest import Manifest, Span
+from htcp_jax.runs.manifest import Manifest
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Exclusion, Status
@@ -31,7 +31,7 @@ JOINTS = tables.joint_columns(gp50())
 TRIED = DeadEnds.of({(1, 2): Tried(2, 300, 5, 1), (2, 1): Tried(excluded=Exclusion.TOOL)})
 PLANS = plans_with(STATUS, joints=6)._replace(start=np.arange(24.0).reshape(4, 6) / 7, dead_ends=TRIED)
 POINTS = tuple(ScenarioPoint(k, "starts", load_config(None, [f"margin_m={k / 10}"])) for k in range(4))
-SPANS = Span(0, 1), Span(2, 3)
+SPANS = range(2), range(2, 4)
 BY = planned_by()
 
 
@@ -46,11 +46,11 @@ def manifest(**changes) -> Manifest:
     return Manifest(**requested | {"config_hash": config_hash(same)})
 
 
-def rows(method: str, span: Span) -> tuple:
+def rows(method: str, span: range) -> tuple:
     """Tables and plans of a shard."""
-    part = slice(span.first, span.last + 1)
+    part = slice(span.start, span.stop)
     plans = PLANS.rows(part)
-    numbers = np.arange(span.first, span.last + 1)
+    numbers = np.array(span)
     written = {
         "targets": tables.target_table(method, numbers, plans, JOINTS),
         "scenarios": tables.scenario_table(method, POINTS[part], plans, JOINTS),
@@ -107,7 +107,7 @@ def test_what_is_not_known_is_null_not_nan(tmp_path):
 def test_the_parquet_files_are_plain_and_the_same_each_time(tmp_path):
     first, second = completed(tmp_path / "a"), completed(tmp_path / "b")
     assert contents(first.folder) == contents(second.folder) and len(contents(first.folder)) == 4
-    read = [pq.read_table(first.folder / "targets" / f"baseline-{s.first:06d}-{s.last:06d}.parquet") for s in SPANS]
+    read = [pq.read_table(first.folder / "targets" / f"baseline-{s[0]:06d}-{s[-1]:06d}.parquet") for s in SPANS]
     assert sum(table.num_rows for table in read) == PLANS.exists.sum()
 
 
@@ -231,7 +231,7 @@ def test_a_full_or_read_only_disk_is_one_line_and_leaves_the_run_as_it_was(tmp_p
     with pytest.raises(InputError, match=f"cannot write to .*: {os.strerror(code)}"):
         writer.add(run, "baseline", SPANS[0], *rows("baseline", SPANS[0]), BY)
     assert not contents(tmp_path) and not list(tmp_path.glob(".part-*"))
-    assert open_run(tmp_path).missing("baseline") == [Span(0, 3)]
+    assert open_run(tmp_path).missing("baseline") == [range(4)]
 
 
 def test_other_software_is_warned_of(tmp_path):

@@ -29,6 +29,7 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
+from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep, seeded
 from htcp_jax.report import Table, compilation_row, result_row
 from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
@@ -45,6 +46,15 @@ Out = Annotated[
         metavar="DIR", help="Output folder (run); by default out/<sweep>, with --config out/<sweep>-<config>."
     ),
 ]
+LONGEST = 12  # maximum length of a scenario's number
+Scenarios = Annotated[
+    str | None,
+    typer.Option(metavar="N,N,...", help="Plan only the scenarios with these numbers, as in the tables, from 0."),
+]
+Sample = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Plan only N scenarios of the grid, which are drawn by the seed."),
+]
 On = Annotated[str, typer.Option(metavar="here|ray[:ADDRESS]", help="Plan on this machine (here) or by Ray.")]
 Shard = Annotated[
     int | None,
@@ -57,6 +67,8 @@ def sweep(
     methods: Methods = "all",
     out: Out = None,
     limit: Limit = None,
+    scenarios: Scenarios = None,
+    sample: Sample = None,
     seed: Seed = None,
     config: Config = None,
     overrides: Overrides = None,
@@ -70,7 +82,9 @@ def sweep(
 
     Writes a run folder: manifest.json and Parquet files, with one row per method, scenario and target in targets/, and
     one per method and scenario in scenarios/. Repeat the command to resume an interrupted run; you may add methods and
-    raise --limit. With --feed, or program.feed in the job, complete motions are timed, as by htcp program.
+    raise --limit, or plan more scenarios after --scenarios or --sample. Scenarios keep their numbers and their results,
+    and a larger sample includes the smaller ones. With --feed, or program.feed in the job, complete motions are timed,
+    as by htcp program.
 
     Exit codes: 0 if everything is planned, 1 if the workers of a cluster are lost, 2 on bad input, 130 or 143 after a
     signal; finished work is kept.
@@ -80,6 +94,8 @@ def sweep(
       htcp sweep sweeps/robot                                125 starts by all methods; htcp example lists more
       htcp sweep sweeps/workpiece --methods baseline,nspace-sqp --config paper
       htcp sweep sweeps/robot --limit 3 --set settings.alpha_rad=0.05 --out out/try
+      htcp sweep sweeps/cross --sample 200 --seed 1 --methods beam,nspace-sqp
+      htcp sweep sweeps/workpiece --scenarios 3,17,24 --methods beam
       htcp sweep sweeps/workpiece --methods beam --feed 20mm/s
       htcp sweep sweeps/cross --methods baseline --on ray    on the cluster that Ray finds, else on all cores
     """
@@ -97,6 +113,8 @@ def sweep(
             chosen,
             out,
             limit=limit,
+            scenarios=_numbers(scenarios),
+            sample=sample,
             progress=progress,
             finished=running.add,
             shard_scenarios=shard,
@@ -110,6 +128,20 @@ def sweep(
     else:
         _print_table(run, running)
     return 0
+
+
+def _numbers(text: str | None) -> list[int] | None:
+    """Return the numbers in the option --scenarios; None if it is not given.
+
+    Raises:
+        InputError: If the text is no list of numbers.
+    """
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if wrong := [word for word in words if not (word.isascii() and word.isdigit() and len(word) < LONGEST)]:
+        raise InputError(f"--scenarios: {wrong[0]!r} is no number of a scenario; valid: numbers such as 3,17,24")
+    return [int(word) for word in words]
 
 
 def _sweep_record(run: Run, running: RunningSummary) -> dict:
@@ -176,10 +208,8 @@ FIGURES = (
 def _print_table(run: Run, running: RunningSummary) -> None:
     """Print the tables of a run's results by method, the explanations, and the unfinished methods."""
     console = stdout()
-    limit = (
-        "" if run.manifest.limit is None else f", the first {run.manifest.count:,} of {run.manifest.full:,} scenarios"
-    )
-    console.print(Text(f"{run.manifest.name}{limit}", style="bold"))
+    part = f", {run.manifest.part}" if run.manifest.part else ""
+    console.print(Text(f"{run.manifest.name}{part}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
     rows = [result_row(method, summary.summarise(whole)) | {"compile_s": None} for method, whole in plans.items()]
     compiled = [compilation_row(plans.values())] if plans else []

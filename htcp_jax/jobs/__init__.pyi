@@ -1,6 +1,7 @@
 from . import build, grid_axes, seam_scenarios
 from .batch import Batch, PlannerInputs
 from .cell_shapes import shapes_in_world
+from .draws import chosen_numbers, drawn_numbers
 from .grid import Sweep, load_sweep, load_sweep_or_job
 from .grid_points import points_of
 from .load_config import load_config, seeded, source_of, with_kinds
@@ -12,6 +13,8 @@ __all__ = [
     "PlannerInputs",
     "Sweep",
     "build",
+    "chosen_numbers",
+    "drawn_numbers",
     "grid_axes",
     "load_config",
     "load_sweep",

@@ -6,6 +6,10 @@
       - workpiece.rotation_y_rad: [0.4, 0.5]           # parameters of one axis vary jointly (zipped)
         workpiece.rotation_z_rad: [0.1, 0.2]           # this grid has 3 x 2 scenarios
 
+In place of a list, values and offsets may be drawn: `{uniform: [LOW, HIGH], count: N}`, `{normal: [MEAN, SIGMA],
+count: N}`, or `{offsets: {normal: [0, 0.1], count: N}}`. The seed (`settings.seed`) and the parameter's name determine
+the draws, so other axes do not change them, and a larger count appends values. The drawn values are recorded.
+
 A parameter is any key of the configuration except `method`, `program` and `ray`, see `grid_axes`. A joint is given by
 its number, from 1, or by its name. Axes are applied in order: one axis may set `start_rad`, and later axes may change
 single joints. If the job has several seams, the last axis is `seam`, over all of them, unless the grid has this axis.
@@ -17,7 +21,7 @@ scenario's number is its index in the complete grid. It determines the scenario'
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -79,25 +83,26 @@ class Sweep:
         groups = tuple(group.with_value("settings.qp", AUTO_QP, auto) for group in self.groups)
         return replace(self, config=self.config.model_copy(update={"settings": settings}), groups=groups)
 
-    def points(self, limit: int | None = None) -> tuple[ScenarioPoint, ...]:
-        """Return number and configuration of the first `limit` scenarios; None: of all.
+    def points(self, limit: int | None = None, numbers: Collection[int] | None = None) -> tuple[ScenarioPoint, ...]:
+        """Return number and configuration of the first `limit` scenarios, or of those with some numbers; None: of all.
 
         Raises:
             InputError: If a value is out of its range.
         """
         if limit is not None and not 1 <= limit <= MOST:
             raise InputError(f"limit is {limit}; valid: 1 to {MOST:,}")
-        points = points_of(self.name, self.config, self.groups, self.stated, len(self.robot.joint_names))
+        only = None if numbers is None else {*numbers}
+        points = points_of(self.name, self.config, self.groups, self.stated, len(self.robot.joint_names), only)
         return tuple(itertools.islice(points, limit))
 
-    def batch(self, limit: int | None = None) -> Batch:
-        """Build the first `limit` scenarios with their planner inputs; None: all.
+    def batch(self, limit: int | None = None, numbers: Collection[int] | None = None) -> Batch:
+        """Build the first `limit` scenarios with their planner inputs, or those with some numbers; None: all.
 
         Raises:
             InputError: If a start is outside the joint limits, or if the robots have different joints. The message
                 names the scenario.
         """
-        return batch_of(self.name, self.config, self.robot, self.points(limit), self.alone)
+        return batch_of(self.name, self.config, self.robot, self.points(limit, numbers), self.alone)
 
 
 def load_sweep(
@@ -134,7 +139,7 @@ def load_sweep(
     groups = []
     for name, axes in grids.items():
         where = f"{path}: grid" if name is None else f"{path}: groups.{name}"
-        group = read_grid(where, path.parent, name, axes, robot.joint_names)
+        group = read_grid(where, path.parent, name, axes, robot.joint_names, base.settings.seed)
         groups.append(with_seams(group, base.workpiece.seams, where))
         for key in first.keys() - groups[-1].keys:
             raise InputError(f"{where}: {key} varies in another group; it must vary in every group")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
+from htcp_jax.jobs import draws
 from htcp_jax.spec import (
     AUTO,
     DEPENDENT,
@@ -50,6 +51,7 @@ OF_A_KIND = re.compile(  # keys of obstacles and task rows from other packages, 
     r"((?:cell\.obstacles|task)\.[1-9]\d*\.[a-zA-Z_]\w*|robot\.locked\.[^.]+)(?:\.([xyz]))?"
 )
 XYZ = "xyz"
+DISTRIBUTIONS = {"uniform": "[LOW, HIGH]", "normal": "[MEAN, SIGMA]"}  # of random axes
 SEAM = "seam"  # name of the axis over the seams of a part; its values are their names
 
 
@@ -128,7 +130,9 @@ class ScenarioPoint(NamedTuple):
     varied: Mapping[str, str] = {}  # JSON values of the varied keys that are not in PARAMETERS, by key
 
 
-def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str]) -> Group:
+def read_grid(
+    where: str, folder: Path, name: str | None, axes: Sequence[dict], joints: Sequence[str], seed: int
+) -> Group:
     """Return the grid that a list of axes in a sweep file describes.
 
     Args:
@@ -137,6 +141,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
         name: Key of the grid in `groups`; None if the file has `grid` instead.
         axes: The axes as written in the file.
         joints: Names of the robot's joints.
+        seed: Seed of the values of random axes.
 
     Raises:
         InputError: If the grid is empty, an axis is invalid, or a parameter is repeated.
@@ -144,7 +149,7 @@ def read_grid(where: str, folder: Path, name: str | None, axes: Sequence[dict], 
     if not axes:
         raise InputError(f"{where} is empty; it needs at least one axis")
     known = parameters(joints)
-    read = tuple(_read_axis(f"{where}, axis {k}", folder, axis, known) for k, axis in enumerate(axes, 1))
+    read = tuple(_read_axis(f"{where}, axis {k}", folder, axis, known, seed) for k, axis in enumerate(axes, 1))
     seen = set()
     for column in itertools.chain.from_iterable(read):
         if column.parameter in seen:
@@ -319,10 +324,10 @@ def varied_keys(names: Collection[str]) -> tuple[str, ...]:
     return *(key for key in KEYS if key in keys and key not in PARAMETERS), *own
 
 
-def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParameter]) -> GridAxis:
+def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParameter], seed: int) -> GridAxis:
     if not raw:
         raise InputError(f"{where} is empty; it needs at least one parameter")
-    axis = tuple(_read_column(where, folder, str(key), value, known) for key, value in raw.items())
+    axis = tuple(_read_column(where, folder, str(key), value, known, seed) for key, value in raw.items())
     lengths = {column.parameter.name: len(column.values) for column in axis}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} has {length} values" for name, length in lengths.items())
@@ -330,14 +335,21 @@ def _read_axis(where: str, folder: Path, raw: dict, known: dict[str, AxisParamet
     return axis
 
 
-def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str, AxisParameter]) -> AxisColumn:
+def _read_column(
+    where: str, folder: Path, key: str, value: Any, known: dict[str, AxisParameter], seed: int
+) -> AxisColumn:
     if (parameter := known.get(key) or kind_parameter(key)) is None:
         raise InputError(f"{where}: {_unknown(key, known)}")
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
         (value,) = value.values()
+    if isinstance(value, dict) and value.keys() & DISTRIBUTIONS.keys():
+        value = _drawn(f"{where}: {key}", parameter, value, seed)
     if not isinstance(value, list | tuple):
-        raise InputError(f"{where}: {key} needs a list of values, {{values: [...]}} or {{offsets: [...]}}")
+        raise InputError(
+            f"{where}: {key} needs a list of values, {{values: [...]}}, {{offsets: [...]}}, "
+            "{uniform: [LOW, HIGH], count: N} or {normal: [MEAN, SIGMA], count: N}"
+        )
     if not value:
         raise InputError(f"{where}: {key} has no values")
     for item in value:
@@ -346,6 +358,41 @@ def _read_column(where: str, folder: Path, key: str, value: Any, known: dict[str
     if words is not None:  # file names are relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
     return AxisColumn(parameter, relative, tuple(map(_hashable, value)))
+
+
+def _drawn(where: str, parameter: AxisParameter, given: Mapping[str, Any], seed: int) -> tuple[float, ...]:
+    """Return the values of a random axis.
+
+    Args:
+        where: Name of the parameter, for messages.
+        parameter: The parameter. Its name determines the draw, so that other axes do not change it.
+        given: The distribution with two numbers, and the number of values.
+        seed: Seed of the draw.
+
+    Raises:
+        InputError: If the distribution is invalid, or if the parameter does not take numbers that may have decimals.
+    """
+    default = KEYS.get(parameter.key, 0.0)
+    whole = type(default) is int or (isinstance(default, tuple) and parameter.element is None)
+    if whole or not isinstance(default, int | float | tuple | None) or parameter.key in FILE_KEYS:
+        raise InputError(f"{where} cannot be drawn: only single numbers with decimals can, such as start_rad.3")
+    names = [name for name in given if name in DISTRIBUTIONS]
+    if len(names) > 1 or given.keys() != {*names, "count"}:
+        raise InputError(f"{where}: a random axis has one of {' and '.join(DISTRIBUTIONS)}, and count; no other key")
+    (name,), count = names, given["count"]
+    pair = given[name] if isinstance(given[name], list | tuple) else ()
+    if len(pair) != 2 or not all(map(_is_number, pair)):
+        raise InputError(f"{where}: {name} needs two numbers, {DISTRIBUTIONS[name]}, not {given[name]!r}")
+    if not (pair[0] < pair[1] if name == "uniform" else pair[1] > 0):
+        what = "LOW must be less than HIGH" if name == "uniform" else "SIGMA must be positive"
+        raise InputError(f"{where}: {what} in {name}: {given[name]!r}")
+    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST:
+        raise InputError(f"{where}: count is {count!r}; valid: 1 to {MOST:,}")
+    return getattr(draws, name)(seed, parameter.name, float(pair[0]), float(pair[1]), count)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _unknown(key: str, known: Collection[str]) -> str:
@@ -387,7 +434,7 @@ def _check_value(where: str, parameter: AxisParameter, item: Any, relative: bool
     if is_list and not isinstance(item, list | tuple):
         raise InputError(f"{where} takes lists of numbers, not {item!r}")
     for number in item if is_list else [item]:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+        if not _is_number(number):
             raise InputError(f"{where} takes finite numbers, not {number!r}")
 
 

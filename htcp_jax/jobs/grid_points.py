@@ -23,7 +23,12 @@ from htcp_jax.spec import DEPENDENT, PlanConfig, strict_model, value_at
 
 
 def points_of(
-    name: str, config: PlanConfig, groups: Sequence[Group], stated: Collection[str], joints: int
+    name: str,
+    config: PlanConfig,
+    groups: Sequence[Group],
+    stated: Collection[str],
+    joints: int,
+    only: Collection[int] | None = None,
 ) -> Iterator[ScenarioPoint]:
     """Yield the scenarios of all grids in order.
 
@@ -34,6 +39,7 @@ def points_of(
         stated: The keys in `DEPENDENT` that the configuration sets. The others get the defaults for each scenario's
             robot and workpiece.
         joints: Number of joints of all robots.
+        only: Numbers of the scenarios to yield; None: all.
 
     Raises:
         InputError: If a value is out of its range.
@@ -53,6 +59,8 @@ def points_of(
         values = _Values(config, shared)
         for row in group.rows():
             k = next(number)
+            if only is not None and k not in only:
+                continue
             own = None if own_defaults else values.varied(row)
             if own is None:
                 raw = dict(shared)

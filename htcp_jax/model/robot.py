@@ -170,6 +170,9 @@ class Robot:
         """Name of the link that carries the part; None if the part does not move."""
         return next(frame.name for frame in self.base_frames if not any(frame.origin_m)) if self.part_moves else None
 
+    def __repr__(self) -> str:
+        return f"Robot({self.name}: {self.dof} joints, {len(self.capsule_names)} capsules)"
+
     def _repr_html_(self) -> str:
         limits = zip(self.joint_names, self.lower.tolist(), self.upper.tolist(), self.sliding, strict=True)
         radii = zip(self.capsule_names, self.capsule_radius.tolist(), strict=True)

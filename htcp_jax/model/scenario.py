@@ -42,6 +42,10 @@ class Scenario:
     # required clearance at each target and on the segment to it, 0: only D > 0; None: as above, everywhere
     seam_margins_m: Float[Anywhere, "*S T 2"] | None = None
 
+    def __repr__(self) -> str:
+        *batch, rows, _ = getattr(self.targets, "shape", (0, 0))  # leaves of a pytree may be no arrays
+        return f"Scenario({' x '.join(map(str, batch))}{' scenarios, ' if batch else ''}{rows} targets)"
+
     @property
     def begins_anywhere(self) -> Bool[Anywhere, "*S"]:
         """True if the motion begins at the start, and the planner has not chosen the start yet."""

@@ -202,6 +202,9 @@ class Workpiece:
             return f"convex hull, {self.interior_depth_m:.3g} m deep along {along}"
         return "off: no inlet" if self.inlet is None else "off"
 
+    def __repr__(self) -> str:
+        return f"Workpiece({self.name}: {len(self.cloud):,} points, a path of {len(self.path):,} points)"
+
     def _repr_html_(self) -> str:
         low, high = self.shown.min(axis=0), self.shown.max(axis=0)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()

@@ -169,7 +169,7 @@ def _ranking(folder: Path) -> dict[str, Any]:
 def kept_plans(folder: Path) -> int:
     """Return the number of finished plans in a search's folder, without the copies in `ranked`."""
     runs = [file.parent for file in folder.rglob(manifest.MANIFEST) if file.parent != folder / plan_sets.MOTIONS]
-    return sum(shard.last - shard.first + 1 for run in runs for shard in open_run(run).manifest.shards)
+    return sum(shard.scenarios.rows for run in runs for shard in open_run(run).manifest.shards)
 
 
 def _begin_search(folder: Path, search: Search) -> None:

@@ -148,9 +148,9 @@ def part_facts(part: Part) -> list[str]:
     robot, cloud, path = named_files.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
     lines.append(f"Configuration: {choice(part)}. {verdict(part.validation)}")
-    if manifest.count < manifest.full:
-        lines.append(f"The run is limited to the first {manifest.count:,} of {manifest.full:,} scenarios.")
-    unfinished = {m: sum(span.last - span.first + 1 for span in part.run.missing(m)) for m in part.run.methods}
+    if manifest.part:
+        lines.append(f"Planned part of the grid: {manifest.part}.")
+    unfinished = {m: sum(map(len, part.run.missing(m))) for m in part.run.methods}
     if any(unfinished.values()):
         text = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
         lines.append(f"The run is not complete. Scenarios still to plan: {text}.")

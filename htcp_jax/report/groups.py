@@ -117,7 +117,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
     whole = Part(
         run_name=name,
         name=name,
-        numbers=np.arange(run.manifest.count),
+        numbers=np.arange(run.manifest.rows),
         parameters={},
         plans=plans,
         motions={method: _figures_of_method(run, method) for method in methods},
@@ -169,7 +169,7 @@ def _with_scenarios(whole: Part, name: str, numbers: np.ndarray, parameters: dic
 def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray:
     """Return the manipulability along a method's plans [m/rad], scenarios by targets; NaN if unknown."""
     table = run.targets(method).select(["scenario", "target", scenario_tables.MANIPULABILITY])
-    found = np.full((run.manifest.count, targets), np.nan)
+    found = np.full((run.manifest.rows, targets), np.nan)
     rows = table["scenario"].to_numpy(), table["target"].to_numpy()
     found[rows] = table[scenario_tables.MANIPULABILITY].to_numpy()
     return found
@@ -178,7 +178,7 @@ def _manipulability_of_method(run: Run, method: str, targets: int) -> np.ndarray
 def _figures_of_method(run: Run, method: str) -> motion.MotionFigures:
     """Return the figures of a method's motions, a row per scenario; NaN if unknown."""
     table = run.scenarios(method)
-    found = np.full((len(motion.MotionFigures._fields), run.manifest.count), np.nan)
+    found = np.full((len(motion.MotionFigures._fields), run.manifest.rows), np.nan)
     for row, name in zip(found, motion.MotionFigures._fields, strict=True):
         row[table["scenario"].to_numpy()] = table[name].cast(pa.float64()).to_numpy()
     return motion.MotionFigures(*found)

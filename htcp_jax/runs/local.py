@@ -13,7 +13,6 @@ from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import batch
-from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.shards import Shard, ShardSizes
 
@@ -40,19 +39,24 @@ def plan_here(
             exception that it raises ends the planning.
     """
     by, methods = planned_by(), tuple(dict.fromkeys(each.method for each in missing))
-    targets = execution.targets_in_all or sum(int(scenarios_of(batch, each.span)[1].count.sum()) for each in missing)
+    targets = execution.targets_in_all or sum(int(scenarios_of(batch, each.rows)[1].count.sum()) for each in missing)
     execution = replace(execution, targets_in_all=targets, warm_up=methods)
     for shard in sizes.cut(missing):
-        plans = plan_cells(batch.cells, *scenarios_of(batch, shard.span), shard.method, execution, report)
+        plans = plan_cells(batch.cells, *scenarios_of(batch, shard.rows), shard.method, execution, report)
         execution = replace(execution, warm_up=())  # all are compiled
         sizes.note(shard, plans.run_s)
         yield PlannedShard(shard, plans, by)
 
 
-def scenarios_of(batch: Batch, span: Span) -> tuple[Int[np.ndarray, "S"], Scenario]:
-    """Return the scenarios of a block: the index of each scenario in `batch.cells`, and the stacked scenarios."""
-    rows = slice(span.first, span.last + 1)
-    return batch.cell[rows], tables.gather(batch.scenarios, rows)
+def scenarios_of(batch: Batch, rows: Sequence[int]) -> tuple[Int[np.ndarray, "S"], Scenario]:
+    """Return the scenarios of a block: the index of each scenario in `batch.cells`, and the stacked scenarios.
+
+    Args:
+        batch: The scenarios of the sweep.
+        rows: Indices of the block's scenarios in it.
+    """
+    where = slice(rows.start, rows.stop) if isinstance(rows, range) else np.array(rows)
+    return batch.cell[where], tables.gather(batch.scenarios, where)
 
 
 def plan_cells(

@@ -1,16 +1,18 @@
 """Schema of manifest.json in a run folder: the run's identity, and its finished files."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import groupby, pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from htcp_jax.jobs import grid_axes
+from htcp_jax.jobs import drawn_numbers, grid_axes
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.spec import NAME, strict_model
 
 MANIFEST, FORMAT = "manifest.json", 1
+LISTED = 12  # maximum number of scenarios that a text lists
 TABLES = ("targets", "scenarios")
 
 MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it is part of file names
@@ -27,17 +29,29 @@ class FileRecord(strict_model.FileSection):
 
 
 class ShardRecord(strict_model.FileSection):
-    """A finished shard: one method on the scenarios `first` to `last`, both included."""
+    """A finished shard: one method on the scenarios `first` to `last`, both included, or on `numbers` between them."""
 
     method: MethodName
     first: Scenarios
     last: Scenarios
+    numbers: Annotated[tuple[Scenarios, ...] | None, Field(exclude_if=lambda value: value is None)] = None
     tracked: Count  # number of tracked targets
     compile_s: float  # compilation time
     run_s: float  # planning time without compilation
     planned_by: Count  # index in the manifest's list `planned_by`
     targets: FileRecord
     scenarios: FileRecord
+
+    @property
+    def is_consistent(self) -> bool:
+        """True if `numbers`, if given, ascend from `first` to `last`."""
+        given = self.numbers
+        return given is None or (_ascends(given) and (given[0], given[-1]) == (self.first, self.last))
+
+    @property
+    def scenario_numbers(self) -> Sequence[int]:
+        """Numbers of the shard's scenarios, in order."""
+        return range(self.first, self.last + 1) if self.numbers is None else self.numbers
 
 
 class Seconds(strict_model.FileSection):
@@ -65,7 +79,9 @@ class Manifest(strict_model.FileSection):
     targets: Count  # number of targets of all scenarios to plan
     full: Scenarios  # number of scenarios in the complete grid
     limit: int | None  # requested maximum number of scenarios; None: all
-    count: Scenarios  # number of scenarios to plan, the first ones of the grid
+    count: Scenarios  # number of scenarios to plan, the first ones of the grid, or `scenarios`
+    scenarios: Annotated[tuple[Scenarios, ...] | None, Field(exclude_if=lambda value: value is None)] = None
+    is_sample: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # drawn by `selection.drawn_numbers`
     shard_scenarios: Annotated[int | None, Field(exclude=True)] = None  # without effect; written by older versions
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method
@@ -78,34 +94,86 @@ class Manifest(strict_model.FileSection):
     def _agrees_with_itself(self) -> "Manifest":
         if self.config_hash != config_hash(identity(self.config, self.grid, self.dtype, self.files)):
             raise ValueError("config_hash does not match the contents")
-        ends: dict[str, int] = {}
-        for shard in sorted(self.shards, key=lambda shard: shard.first):
+        if self.scenarios is not None and (not _ascends(self.scenarios) or len(self.scenarios) != self.count):
+            raise ValueError("scenarios must be `count` ascending numbers")
+        chosen, planned = {*self.numbers}, {}
+        for shard in self.shards:
             known = shard.method in self.methods and shard.planned_by < len(self.planned_by)
-            if not (known and ends.get(shard.method, -1) < shard.first <= shard.last < self.count):
+            numbers = {*shard.scenario_numbers}
+            if not (known and numbers and shard.is_consistent and numbers <= chosen):
                 raise ValueError(f"a shard of {shard.method} does not fit into the run")
-            if shard.scenarios.rows != shard.last - shard.first + 1 or shard.tracked > shard.targets.rows:
+            if shard.scenarios.rows != len(numbers) or shard.tracked > shard.targets.rows:
                 raise ValueError(f"a shard of {shard.method} has an impossible number of rows")
-            ends[shard.method] = shard.last
+            if not planned.setdefault(shard.method, set()).isdisjoint(numbers):
+                raise ValueError(f"a shard of {shard.method} does not fit into the run")
+            planned[shard.method] |= numbers
         return self
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the scenarios to plan, in order."""
+        return range(self.count) if self.scenarios is None else self.scenarios
+
+    def is_drawn_from(self, full: int) -> bool:
+        """Return True if the scenarios are those that the seed draws from a grid of `full` scenarios."""
+        return self.scenarios == drawn_numbers(self.seed, self.count, full)
+
+    @property
+    def part(self) -> str:
+        """The planned part of the grid as text, such as "the first 20 of 125 scenarios"; "" for all scenarios."""
+        if self.scenarios is None:
+            return f"the first {self.count:,} of {self.full:,} scenarios" if self.count < self.full else ""
+        if self.is_sample:
+            return f"a random sample of {self.count:,} of {self.full:,} scenarios, seed {self.seed}"
+        listed = ", ".join(map(str, self.scenarios[:LISTED])) + (", ..." if self.count > LISTED else "")
+        return f"{self.count:,} of {self.full:,} scenarios, by number: {listed}"
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of arrays in which row s is scenario s, up to the last scenario to plan."""
+        return self.numbers[-1] + 1 if self.count else 0
 
 
 class Span(NamedTuple):
-    """Range of scenarios, `first` to `last`, both included."""
+    """Numbers of a shard's first and last scenario."""
 
     first: int
     last: int
 
 
-def missing_spans(manifest: Manifest, method: str) -> list[Span]:
-    """Return the ranges of scenarios that a method has not planned yet, in order."""
-    known = sorted((shard.first, shard.last) for shard in manifest.shards if shard.method == method)
-    firsts, lasts = [0, *(last + 1 for _, last in known)], [*(first - 1 for first, _ in known), manifest.count - 1]
-    return [Span(first, last) for first, last in zip(firsts, lasts, strict=True) if first <= last]
+def missing_rows(manifest: Manifest, method: str) -> list[Sequence[int]]:
+    """Return the scenarios that a method has not planned yet, in order, as indices in `Manifest.numbers`.
+
+    They are in ranges of consecutive scenarios. If scenarios of the grid have been chosen, in this call or earlier,
+    they are in one list, as such ranges would be short.
+    """
+    planned = {number for shard in manifest.shards if shard.method == method for number in shard.scenario_numbers}
+    if manifest.scenarios is not None or any(shard.numbers is not None for shard in manifest.shards):
+        rows = tuple(row for row, number in enumerate(manifest.numbers) if number not in planned)
+        return [rows] if rows else []
+    spans: list[Sequence[int]] = []
+    first = 0
+    for done, numbers in groupby(manifest.numbers, planned.__contains__):
+        end = first + sum(1 for _ in numbers)
+        spans += [] if done else [range(first, end)]
+        first = end
+    return spans
 
 
-def shard_name(method: str, span: Span) -> str:
-    """Return the name of a shard's files, the same in both folders of tables."""
-    return f"{method}-{span.first:06d}-{span.last:06d}.parquet"
+def shard_name(method: str, first: int, last: int) -> str:
+    """Return the name of a shard's files, the same in both folders of tables.
+
+    Args:
+        method: Name of the method.
+        first: Number of the first scenario.
+        last: Number of the last scenario.
+    """
+    return f"{method}-{first:06d}-{last:06d}.parquet"
+
+
+def _ascends(numbers: Sequence[int]) -> bool:
+    """Return True for a list of ascending numbers that is not empty."""
+    return bool(numbers) and all(a < b for a, b in pairwise(numbers))
 
 
 def is_shard_name(name: str, methods: Collection[str]) -> bool:

@@ -41,7 +41,7 @@ class RunPlans:
         shards = run.manifest.shards
         self.run, self.folder = run, run.folder
         self.methods = tuple(dict.fromkeys(shard.method for shard in shards))  # names of the methods with results
-        self.count = sum(shard.last - shard.first + 1 for shard in shards)  # number of saved plans, over all methods
+        self.count = sum(shard.scenarios.rows for shard in shards)  # number of saved plans, over all methods
         self.config = run.config  # configuration shared by the scenarios
         self.mixed = bool(run.varied)  # True if arms, parts, cells or settings differ
         self.files = run.result_files()  # SHA-256 of the files with results, by name in the folder

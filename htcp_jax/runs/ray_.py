@@ -148,7 +148,7 @@ def _plan(
         while True:
             room = 2 * int(ray.cluster_resources().get("CPU", 1)) + 8 - len(running)
             for _, shard in zip(range(room), left):  # noqa: B905 - stops at `room`
-                cell, scenarios = scenarios_of(batch, shard.span)
+                cell, scenarios = scenarios_of(batch, shard.rows)
                 wanted, cell = np.unique(cell, return_inverse=True)
                 own = [cells[number] for number in wanted]
                 running[task.remote(shard.method, scenarios, config.ray, cell, *own)] = shard

@@ -28,7 +28,10 @@ WORDS = {reach.words: int(reach) for reach in Reach}
 
 
 def read_reachability(run: Run) -> ReachabilityBounds | None:
-    """Return the reachability bounds of a run; None if they have not been computed completely.
+    """Return the reachability bounds of a run's scenarios; None if they have not been computed completely.
+
+    If only some scenarios of the grid are planned, row s is scenario s, up to the last one, as in `Run.plans`. The file
+    then has all scenarios of the grid.
 
     Raises:
         InputError: If the file is damaged, or if it has another number of scenarios than the run.
@@ -47,9 +50,14 @@ def read_reachability(run: Run) -> ReachabilityBounds | None:
             f"{file} is damaged or not a result of htcp reachability: {files.cause(error, file)}"
         ) from None
     counts = [found.prefix, found.most] + ([] if found.each is None else [found.each[:, 0]])
-    if any(each.shape != (run.manifest.count,) for each in counts):
-        raise InputError(f"{file} contains {found.prefix.size} scenarios, but the run has {run.manifest.count}")
-    return found
+    manifest = run.manifest
+    expected, of = (manifest.count, "run") if manifest.scenarios is None else (manifest.full, "grid")
+    if any(each.shape != (expected,) for each in counts):
+        raise InputError(f"{file} contains {found.prefix.size} scenarios, but the {of} has {expected}")
+    if manifest.scenarios is None:
+        return found
+    each = None if found.each is None else found.each[: manifest.rows]
+    return found._replace(prefix=found.prefix[: manifest.rows], most=found.most[: manifest.rows], each=each)
 
 
 def _read_record(record: dict) -> ReachabilityBounds:

@@ -12,12 +12,13 @@ either complete or not part of the run.
 
 import hashlib
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from io import BufferedReader
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 from pydantic import ValidationError
 
@@ -38,8 +39,7 @@ from htcp_jax.runs.manifest import (
     Manifest,
     Seconds,
     ShardRecord,
-    Span,
-    missing_spans,
+    missing_rows,
     shard_name,
 )
 from htcp_jax.runs.plan_folder import SUMMARY
@@ -51,6 +51,16 @@ from htcp_jax.system import files as io_files
 
 if TYPE_CHECKING:
     import pandas
+
+METHOD_NOUN = "method"  # of the keys of `Manifest.plugins` that name methods
+SHARDS = pa.schema(
+    [
+        ("method", pa.string()),
+        *((name, pa.int64()) for name in ("first", "last", "scenarios", "targets", "tracked")),
+        *((name, pa.float64()) for name in ("run_s", "compile_s")),
+        *((name, pa.string()) for name in ("device", "commit", "package")),
+    ]
+)
 
 
 class Run:
@@ -83,14 +93,16 @@ class Run:
         """Return one of the run's tables as a pandas frame.
 
         Args:
-            table: "scenarios" or "targets".
+            table: "scenarios", "targets" or "shards".
             *methods: Names of methods; without names, all methods.
 
         Raises:
             InputError: See `targets`; also if the table is unknown or pandas is not installed.
         """
-        if table not in TABLES:
-            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets")
+        if table not in (*TABLES, "shards"):
+            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets, shards")
+        if table == "shards":
+            return table_frame((self.only(methods) if methods else self).shards())
         return table_frame(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
 
     def only(self, methods: Collection[str]) -> "Run":
@@ -111,7 +123,7 @@ class Run:
 
     def unfinished(self) -> dict[str, int]:
         """Return the number of scenarios left to plan, by method; finished methods are not included."""
-        left = {method: sum(last - first + 1 for first, last in self.missing(method)) for method in self.methods}
+        left = {method: sum(map(len, self.missing(method))) for method in self.methods}
         return {method: count for method, count in left.items() if count}
 
     @property
@@ -128,7 +140,7 @@ class Run:
         return grid_axes.varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
     def points(self) -> tuple[grid_axes.ScenarioPoint, ...]:
-        """Return the scenarios with their complete configurations, by number.
+        """Return the scenarios with their complete configurations, by number, up to the last one to plan.
 
         Raises:
             InputError: If the grid in the manifest cannot be read.
@@ -139,7 +151,7 @@ class Run:
             groups = tuple(grid_axes.from_record(group, joints) for group in grid)
             stated = frozenset(key for group in grid for key in group.get("stated", ()))
             points = points_of(str(self.folder / MANIFEST), config, groups, stated, len(joints))
-            return tuple(islice(points, self.manifest.count))
+            return tuple(islice(points, self.manifest.rows))
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
@@ -169,6 +181,28 @@ class Run:
         """
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
+    def shards(self) -> pa.Table:
+        """Return one row per finished shard: its scenarios, its times, and what planned it.
+
+        The scenarios of a shard are planned together, so times of single scenarios are unknown: `run_s` is the wall
+        time of planning, without `compile_s`, the wall time of compilation [s]. `package` is the installed package and
+        version of a method that is not built in. The times are in manifest.json only, so that equal plans give equal
+        tables.
+        """
+        manifest, rows = self.manifest, []
+        for shard in manifest.shards:
+            by = manifest.planned_by[shard.planned_by]
+            rows.append(
+                {
+                    **shard.model_dump(include={"method", "first", "last", "tracked", "run_s", "compile_s"}),
+                    "scenarios": shard.scenarios.rows,
+                    "targets": shard.targets.rows,
+                    **{name: by.get(name) for name in ("device", "commit")},
+                    "package": manifest.plugins.get(f"{METHOD_NOUN} {shard.method}"),
+                }
+            )
+        return pa.Table.from_pylist(rows, SHARDS)
+
     def timing(self, method: str) -> Timing | None:
         """Return the times of a method; None if the method has not been timed.
 
@@ -178,9 +212,9 @@ class Run:
         return read_timing(self.folder, self.manifest.shards, method)
 
     def plans(self, method: str) -> Plans:
-        """Return the plans of one method as arrays; row s is scenario s, for all `manifest.count` scenarios.
+        """Return the plans of one method as arrays; row s is scenario s, up to the last one to plan.
 
-        The status is NO_TARGET in scenarios that are not planned yet, and after the last target of shorter scenarios.
+        The status is NO_TARGET in scenarios that are not planned, and after the last target of shorter scenarios.
 
         Raises:
             InputError: See `targets`.
@@ -190,7 +224,7 @@ class Run:
             self.manifest.seconds.get(method, Seconds()),
         )
         try:
-            return plans_of(*rows, self.manifest.count, self.manifest.joints, seconds.compile_s, seconds.run_s)
+            return plans_of(*rows, self.manifest.rows, self.manifest.joints, seconds.compile_s, seconds.run_s)
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{self.folder}: the rows of {method} do not belong to this run: {error}") from None
 
@@ -207,13 +241,13 @@ class Run:
         files = (self.shard_files(shard)["targets"] for shard in self.manifest.shards)
         return {str(file.relative_to(self.folder)): record.sha256 for file, record in files}
 
-    def missing(self, method: str) -> list[Span]:
-        """Return the ranges of scenarios that a method has not planned yet, in order."""
-        return missing_spans(self.manifest, method)
+    def missing(self, method: str) -> list[Sequence[int]]:
+        """Return the scenarios that a method has not planned yet, see `missing_rows`."""
+        return missing_rows(self.manifest, method)
 
     def shard_files(self, shard: ShardRecord) -> dict[str, tuple[Path, FileRecord]]:
         """Return the two files of a shard with their records, by name of their tables."""
-        name = shard_name(shard.method, Span(shard.first, shard.last))
+        name = shard_name(shard.method, shard.first, shard.last)
         return {table: (self.folder / table / name, getattr(shard, table)) for table in TABLES}
 
     def _read(self, table: str, methods: Iterable[str]) -> pa.Table:
@@ -228,7 +262,14 @@ class Run:
         if not order:
             raise InputError(f"{self.folder} has no finished shard of {', '.join(wanted)} yet")
         schema = empty_tables(self.manifest.joints, self.varied)[table].schema
-        return pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
+        rows = pa.concat_tables(self._read_shard(shard, table, schema) for shard in order)
+        if all(shard.numbers is None for shard in order):
+            return rows
+        # shards with gaps contain scenarios between each other's
+        place = {method: k for k, method in enumerate(wanted)}
+        by_method = np.array([place[name] for name in rows["method"].to_pylist()])
+        target = rows["target"].to_numpy() if table == "targets" else np.zeros(len(rows), int)
+        return rows.take(pa.array(np.lexsort((target, rows["scenario"].to_numpy(), by_method))))
 
     def _read_shard(self, shard: ShardRecord, table: str, schema: pa.Schema) -> pa.Table:
         """Return the checked rows of one file. Files of scenarios are small and cached."""

@@ -39,7 +39,7 @@ class RunningSummary:
         Raises:
             InputError: If a file is damaged.
         """
-        if (known := self._known(run, method)) is None:
+        if run.manifest.scenarios is not None or (known := self._known(run, method)) is None:
             return run.plans(method)
         seconds = run.manifest.seconds.get(method, Seconds())
         return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.model_dump())

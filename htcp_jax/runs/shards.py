@@ -1,10 +1,9 @@
 """Shards of a sweep: blocks of scenarios, so large that one takes about a minute."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from htcp_jax.device import lane_function, processes
-from htcp_jax.runs.manifest import Span
 
 SHARD_S = 60.0  # aimed planning time of a shard [s]; this much work is lost if a sweep is stopped
 GROWTH = 8  # a shard has at most this many times the scenarios of a finished one
@@ -12,15 +11,10 @@ MOST_TARGETS = 1_000_000  # maximum number of targets in a shard, which limits t
 
 
 class Shard(NamedTuple):
-    """A unit of work: one method on a block of consecutive scenarios."""
+    """A unit of work: one method on a block of scenarios."""
 
     method: str
-    span: Span
-
-    @property
-    def count(self) -> int:
-        """Number of scenarios."""
-        return self.span.last - self.span.first + 1
+    rows: Sequence[int]  # indices of the scenarios in the batch
 
 
 class ShardSizes:
@@ -54,15 +48,15 @@ class ShardSizes:
 
     def cut(self, missing: Iterable[Shard]) -> Iterator[Shard]:
         """Yield shards that together have all missing scenarios, each of the size that its method has by then."""
-        for method, (first, last) in missing:
-            while first <= last:
-                end = min(last, first + self._sizes.get(method, self._least) - 1)
-                if last - end < self._least_rest and last - first < self._most:
-                    end = last
-                yield Shard(method, Span(first, end))
-                first = end + 1
+        for method, rows in missing:
+            while rows:
+                count = self._sizes.get(method, self._least)
+                if len(rows) - count < self._least_rest and len(rows) <= self._most:
+                    count = len(rows)
+                yield Shard(method, rows[:count])
+                rows = rows[count:]
 
     def note(self, shard: Shard, seconds: float) -> None:
         """Set the size of the method's next shards by the planning time of a finished one [s]."""
-        wanted = int(shard.count * min(GROWTH, SHARD_S / max(seconds, 1e-9)))
+        wanted = int(len(shard.rows) * min(GROWTH, SHARD_S / max(seconds, 1e-9)))
         self._sizes[shard.method] = min(max(wanted, self._least), self._most)

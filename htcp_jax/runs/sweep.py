@@ -19,8 +19,8 @@ from typing import Any
 
 from htcp_jax.backend import default_device
 from htcp_jax.device import devices
-from htcp_jax.errors import InputError, Interrupted, Lost
-from htcp_jax.jobs import Batch, Sweep, grid_axes, load_sweep, seeded
+from htcp_jax.errors import InputError, Interrupted, Lost, did_you_mean
+from htcp_jax.jobs import Batch, Sweep, chosen_numbers, grid_axes, load_sweep, seeded
 from htcp_jax.motion import Execution, Plans
 from htcp_jax.planning import Progress as ShardProgress
 from htcp_jax.planning import methods as planning_methods
@@ -35,7 +35,7 @@ from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by, plugins
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.shards import Shard, ShardSizes
-from htcp_jax.runs.tables import joint_columns
+from htcp_jax.runs.tables import joint_columns, sparse
 from htcp_jax.runs.written_run import SweepProgress, WrittenRun, tables
 from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import SignalReceived, locked, output_files, signals, stop_message, temporary_folder
@@ -49,6 +49,8 @@ def sweep(
     config: str | Path | Mapping[str, Any] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
     limit: int | None = None,
+    scenarios: Sequence[int] | None = None,
+    sample: int | None = None,
     seed: int | None = None,
     progress: Callable[[SweepProgress], None] | None = None,
     finished: Callable[[FinishedShard], None] | None = None,
@@ -67,6 +69,8 @@ def sweep(
         config: Configuration that replaces the sweep's own, see `load_sweep`.
         overrides: Changes to the configuration, see `load_sweep`.
         limit: Maximum number of scenarios; the first ones of the grid are planned. None: all.
+        scenarios: Numbers of the scenarios to plan; None: all. A scenario keeps its number and its results.
+        sample: Number of scenarios to draw from the grid, without repetition, by the seed; None: all.
         seed: Value of `settings.seed`; None: the configuration's.
         progress: Function that is called with the `SweepProgress` of a method while it advances.
         finished: Function that is called with each shard after it has been written.
@@ -96,8 +100,9 @@ def sweep(
                 raise InputError(f"{name} is {value}; valid: 1 to {grid_axes.MOST:,}")
         platform = "gpu" if on != "here" and spec.config.ray.num_gpus else first.platform
         spec = spec.on(platform)
-        batch = spec.batch(limit)
-        requested = _manifest(spec, batch, chosen, limit)
+        numbers = chosen_numbers(len(spec), spec.config.settings.seed, limit, scenarios, sample)
+        batch = spec.batch(limit, numbers)
+        requested = _manifest(spec, batch, chosen, limit, numbers, is_sample=sample is not None)
         cores = devices.cores() if on == "here" else max(1, int(spec.config.ray.num_cpus))
         sizes = ShardSizes.on(platform, cores, batch.scenarios.targets.shape[1], len(chosen_devices))
         if shard_scenarios is not None:
@@ -120,7 +125,7 @@ def sweep(
 
             try:
                 with stop_message(stopped), written:
-                    missing = [Shard(method, span) for method in chosen for span in written.run.missing(method)]
+                    missing = [Shard(method, rows) for method in chosen for rows in written.run.missing(method)]
                     for method in chosen:
                         report_progress(method)
                     for each in plan(missing, report_progress):
@@ -171,11 +176,11 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
     batch, folder = spec.batch(), Path(out)
     shutil.rmtree(folder, ignore_errors=True)
     with output_files.made_folder(folder):
-        run = writer.begin(folder, _manifest(spec, batch, tuple(plans), None))
-        missing = [Shard(method, span) for method in plans for span in run.missing(method)]
-        for method, span in ShardSizes(shard_scenarios, shard_scenarios).cut(missing):
-            own = plans[method].rows(slice(span.first, span.last + 1))
-            run = writer.add(run, method, span, tables(batch, method, span, own), own, planned_by())
+        run = writer.begin(folder, _manifest(spec, batch, tuple(plans)))
+        missing = [Shard(method, rows) for method in plans for rows in run.missing(method)]
+        for method, rows in ShardSizes(shard_scenarios, shard_scenarios).cut(missing):
+            own = plans[method].rows(slice(rows[0], rows[-1] + 1))
+            run = writer.add(run, method, rows, tables(batch, method, rows, own), own, planned_by())
     return run
 
 
@@ -195,7 +200,8 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
         raise InputError(f"no methods; valid: all, {', '.join(registry.names())}")
     for name in names:
         if name not in registry.names():
-            raise InputError(f"unknown method {name!r}; valid: all, {', '.join(registry.names())}")
+            known = registry.names()
+            raise InputError(f"unknown method {name!r}; {did_you_mean(name, known)}valid: all, {', '.join(known)}")
         planning_methods.find(name)
     for name in names:
         if names.count(name) > 1:
@@ -203,8 +209,22 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | None) -> Manifest:
-    """Return the manifest of a requested run; it contains no shards yet."""
+def _manifest(
+    spec: Sweep,
+    batch: Batch,
+    methods: tuple[str, ...],
+    limit: int | None = None,
+    numbers: tuple[int, ...] | None = None,
+    is_sample: bool = False,
+) -> Manifest:
+    """Return the manifest of a requested run; it contains no shards yet.
+
+    Raises:
+        InputError: If the numbers are so large that arrays with a row for each number would be mostly empty.
+    """
+    full, targets = len(spec), int(batch.scenarios.count.sum())
+    if numbers is not None and (reason := sparse(numbers[-1] + 1, batch.scenarios.targets.shape[1], targets)):
+        raise InputError(f"{reason}; choose smaller numbers or more scenarios, or use random axes")
     config, grid, files = recorded_inputs(spec)
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
@@ -216,10 +236,12 @@ def _manifest(spec: Sweep, batch: Batch, methods: tuple[str, ...], limit: int | 
         config_hash=config_hash(identity(config, grid, dtype, files)),
         seed=spec.config.settings.seed,
         joints=joint_columns(batch.robot),
-        targets=int(batch.scenarios.count.sum()),
-        full=len(spec),
+        targets=targets,
+        full=full,
         limit=limit,
         count=len(batch.points),
+        scenarios=numbers,
+        is_sample=is_sample,
         code=_code(spec, methods),
         plugins=plugins_of(registry.METHODS, methods) | plugins_of_kinds(spec.config),
         methods=methods,
@@ -247,7 +269,7 @@ def _planner(
 
 def _resume_message(run: Run) -> str:
     manifest = run.manifest
-    done = sum(shard.last - shard.first + 1 for shard in manifest.shards)
+    done = sum(shard.scenarios.rows for shard in manifest.shards)
     if not done:
         return "stopped before anything was finished; nothing was written"
     all_ = len(manifest.methods) * manifest.count

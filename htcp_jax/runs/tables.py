@@ -235,8 +235,8 @@ def plans_of(
     s, t = targets["scenario"].to_numpy(), targets["target"].to_numpy()
     if min(s.min(initial=0), t.min(initial=0)) < 0 or t.max(initial=0) >= len(targets):
         raise IndexError("a row has an invalid number of a scenario or a target; the file is damaged")
-    if count * (int(t.max(initial=-1)) + 1) > max(LEAST_CELLS, arrays.GROWTH * len(targets)):
-        raise IndexError(f"{len(targets):,} rows are too few for {count:,} scenarios with {t.max() + 1:,} targets")
+    if reason := sparse(count, int(t.max(initial=-1)) + 1, len(targets)):
+        raise IndexError(reason)
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
     plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
     for name, column in READ.items():
@@ -250,6 +250,19 @@ def plans_of(
     rows = zip(*(ended[name].to_pylist() for name in ("scenario", "target", *TRIED)), strict=True)
     ends = {row[:2]: Tried(*(count or 0 for count in row[2:-1]), EXCLUSIONS[row[-1]]) for row in rows}
     return plans._replace(via_points=ViaPoints.of(via_points, len(joints)), dead_ends=DeadEnds.of(ends))
+
+
+def sparse(scenarios: int, targets: int, rows: int) -> str | None:
+    """Return the reason why arrays would be mostly empty, as text; None if they may be made.
+
+    Args:
+        scenarios: Number of scenarios in the arrays.
+        targets: Number of targets in the arrays.
+        rows: Number of rows in the table of targets.
+    """
+    if scenarios * targets <= max(LEAST_CELLS, arrays.GROWTH * rows):
+        return None
+    return f"{rows:,} rows are too few for {scenarios:,} scenarios with {targets:,} targets"
 
 
 READ = {  # arrays of `Plans` that are read as they are, with their columns

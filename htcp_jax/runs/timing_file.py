@@ -5,7 +5,7 @@ limits, and the hashes of the timed results. If a result has changed since it wa
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -45,9 +45,12 @@ class ResultShard(Protocol):
     """Attributes that a shard of results must have, as a `ShardRecord` of a manifest has."""
 
     method: str
-    first: int
-    last: int
     targets: Any  # a `FileRecord`; only its SHA-256 is used
+
+    @property
+    def scenario_numbers(self) -> Sequence[int]:
+        """Numbers of its scenarios."""
+        ...
 
 
 class Timing(NamedTuple):
@@ -130,7 +133,7 @@ def read_timing(folder: Path, shards: Iterable[ResultShard], method: str) -> Tim
 def timing_bytes(timing: Timing, shards: Iterable[ResultShard], method: str) -> bytes:
     """Return the content of the file with the times of a method."""
     of = set(timing.rows["scenario"].to_pylist())
-    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(_scenario_numbers(s))]
+    results = [s.targets.sha256 for s in shards if s.method == method and not of.isdisjoint(s.scenario_numbers)]
     made = {"feed_m_s": timing.feed_m_s, "limits": timing.limits, "results": results}
     rows = described(timing.rows.sort_by("scenario"), TIMING, (), made)
     return arrays.parquet_bytes(rows, write_page_checksum=True)
@@ -170,8 +173,4 @@ def _of_results(shards: Iterable[ResultShard], method: str, results: list[str]) 
         results: SHA-256 of the timed results.
     """
     kept = [s for s in shards if s.method == method and s.targets.sha256 in results]
-    return {number for shard in kept for number in _scenario_numbers(shard)}
-
-
-def _scenario_numbers(shard: ResultShard) -> range:
-    return range(shard.first, shard.last + 1)
+    return {number for shard in kept for number in shard.scenario_numbers}

@@ -3,6 +3,7 @@
 import hashlib
 import warnings
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,6 @@ from htcp_jax.runs.manifest import (
     Manifest,
     Seconds,
     ShardRecord,
-    Span,
     is_shard_name,
     shard_name,
 )
@@ -61,7 +61,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     kept |= {"plugins": old.manifest.plugins | requested.plugins}
     run = Run(folder, requested.model_copy(update=kept), keep)
     shards = _valid_shards(run, requested.methods)
-    for file in _unlisted(folder, {shard_name(shard.method, Span(shard.first, shard.last)) for shard in shards}):
+    for file in _unlisted(folder, {shard_name(shard.method, shard.first, shard.last) for shard in shards}):
         if is_shard_name(file.name, methods):
             file.unlink(missing_ok=True)
         else:
@@ -69,13 +69,13 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     return _write_manifest(_with_shards(run, shards))
 
 
-def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
+def add(run: Run, method: str, scenarios: Sequence[int], tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
     """Write a shard, and return the run that includes it.
 
     Args:
         run: The run.
         method: Method of the shard.
-        span: Scenarios of the shard.
+        scenarios: Scenarios of the shard, as indices in `Manifest.numbers`.
         tables: Rows of the shard, by name of the table.
         plans: Plans of the shard.
         by: Provenance of the shard, from `provenance.planned_by`.
@@ -83,14 +83,17 @@ def add(run: Run, method: str, span: Span, tables: dict[str, pa.Table], plans: P
     Raises:
         InputError: If the shard cannot be written; the run on disk is then unchanged.
     """
-    name, manifest = shard_name(method, span), run.manifest
+    manifest = run.manifest
+    numbers = tuple(manifest.numbers[row] for row in scenarios)
+    first, last = numbers[0], numbers[-1]
+    name, gaps = shard_name(method, first, last), last - first >= len(numbers)
     made = {"run": manifest.name, **by}
     rows = {table: described(own, table, manifest.joints, made) for table, own in tables.items()}
     files = {table: _write_parquet(run.folder, table, name, own) for table, own in rows.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
     tracked = int(plans.tracked.sum())
     shard = ShardRecord(
-        method=method, first=span.first, last=span.last, tracked=tracked,
+        method=method, first=first, last=last, numbers=numbers if gaps else None, tracked=tracked,
         compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,
     )  # fmt: skip
     run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)
@@ -102,11 +105,13 @@ def _refuse_other(old: Run, requested: Manifest) -> None:
     if differing:
         more = f" (and {len(differing) - 1} more)" if differing[1:] else ""
         raise InputError(f"{old.folder} contains another sweep: {differing[0]}{more}; {REMEDY}")
-    if requested.count < old.manifest.count:
+    if requested.count < old.manifest.count and requested.scenarios is None:
         raise InputError(
             f"{old.folder} contains this sweep with {old.manifest.count} scenarios, more than {requested.count}; "
             + REMEDY
         )
+    if lost := {*old.manifest.numbers} - {*requested.numbers}:
+        raise InputError(f"{old.folder} contains scenario {min(lost)} of this sweep, which is not requested; {REMEDY}")
 
 
 def _refuse_other_code(old: Run, requested: Manifest) -> None:

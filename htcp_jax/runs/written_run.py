@@ -1,7 +1,7 @@
 """A run whose shards are written by a thread, while the next ones are planned."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -56,7 +56,7 @@ class WrittenRun:
         self._done: Counter[str] = Counter()  # by method
         self._tracked: Counter[str] = Counter()
         for shard in run.manifest.shards:
-            self._count(shard.method, shard.last - shard.first + 1, shard.tracked)
+            self._count(shard.method, shard.scenarios.rows, shard.tracked)
 
     def __enter__(self) -> None:
         pass
@@ -71,7 +71,7 @@ class WrittenRun:
             InputError: If the shard before it cannot be written.
         """
         self.wait()
-        self._count(planned.shard.method, planned.shard.count, int(planned.plans.tracked.sum()))
+        self._count(planned.shard.method, len(planned.shard.rows), int(planned.plans.tracked.sum()))
         self._writing = self._thread.submit(self._write, planned)
 
     def wait(self) -> None:
@@ -109,29 +109,30 @@ class WrittenRun:
         self._tracked[method] += tracked
 
     def _write(self, planned: PlannedShard) -> FinishedShard:
-        (method, span), plans, by = planned
+        (method, rows), plans, by = planned
         with devices.on(self._device):
-            rows = tables(self._batch, method, span, plans)
-        self.run = writer.add(self.run, method, span, rows, plans, by)
-        return FinishedShard(method, span, plans, rows["scenarios"]["margin_m"].to_numpy())
+            found = tables(self._batch, method, rows, plans)
+        self.run = writer.add(self.run, method, rows, found, plans, by)
+        numbers = self.run.manifest.numbers
+        span = Span(numbers[rows[0]], numbers[rows[-1]])
+        return FinishedShard(method, span, plans, found["scenarios"]["margin_m"].to_numpy())
 
 
-def tables(batch: Batch, method: str, span: Span, plans: Plans) -> dict[str, pa.Table]:
+def tables(batch: Batch, method: str, rows: Sequence[int], plans: Plans) -> dict[str, pa.Table]:
     """Return the rows of a shard in the tables of targets and of scenarios, by name of the table."""
-    rows = slice(span.first, span.last + 1)
-    joints, points = joint_columns(batch.robot), batch.points[rows]
+    joints, points = joint_columns(batch.robot), [batch.points[row] for row in rows]
     varied = tuple(points[0].varied)
     numbers = np.array([point.number for point in points])
-    measured, followers = _manipulability(batch, span, plans), _followers(batch, span, plans)
+    measured, followers = _manipulability(batch, rows, plans), _followers(batch, rows, plans)
     return {
         "targets": target_table(method, numbers, plans, joints, measured, followers),
-        "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, span, plans)),
+        "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, rows, plans)),
     }
 
 
-def _manipulability(batch: Batch, span: Span, plans: Plans) -> Float[np.ndarray, "S T"]:
+def _manipulability(batch: Batch, rows: Sequence[int], plans: Plans) -> Float[np.ndarray, "S T"]:
     """Return the manipulability at each target of a shard's scenarios [m/rad]; NaN at targets that are not tracked."""
-    (cell, scenarios), found = scenarios_of(batch, span), np.full(plans.status.shape, np.nan)
+    (cell, scenarios), found = scenarios_of(batch, rows), np.full(plans.status.shape, np.nan)
     s, t = np.nonzero(plans.tracked)
     for number in np.unique(cell[s]).tolist():
         own, here = batch.cells[number], cell[s] == number
@@ -141,9 +142,9 @@ def _manipulability(batch: Batch, span: Span, plans: Plans) -> Float[np.ndarray,
     return found
 
 
-def _followers(batch: Batch, span: Span, plans: Plans) -> dict[str, Float[np.ndarray, "S T"]]:
+def _followers(batch: Batch, rows: Sequence[int], plans: Plans) -> dict[str, Float[np.ndarray, "S T"]]:
     """Return the columns of joints that follow others, for a shard's scenarios."""
-    (cell, _), found = scenarios_of(batch, span), follower_columns(batch.robot, plans.x)
+    (cell, _), found = scenarios_of(batch, rows), follower_columns(batch.robot, plans.x)
     for number in np.unique(cell).tolist() if found else ():
         own = follower_columns(batch.cells[number].robot, plans.x[cell == number])
         for values, others in zip(found.values(), own.values(), strict=True):
@@ -151,14 +152,14 @@ def _followers(batch: Batch, span: Span, plans: Plans) -> dict[str, Float[np.nda
     return found
 
 
-def _causes(batch: Batch, span: Span, plans: Plans) -> dict[int, start_cause.StartCause]:
+def _causes(batch: Batch, rows: Sequence[int], plans: Plans) -> dict[int, start_cause.StartCause]:
     """Return the reasons why scenarios of a shard could not begin, by index in the shard; others are not included."""
     found: dict[int, start_cause.StartCause] = {}
-    (cell, scenarios), status = scenarios_of(batch, span), plans.status[:, 0]
+    (cell, scenarios), status = scenarios_of(batch, rows), plans.status[:, 0]
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
-        own, rows = batch.cells[number], np.flatnonzero(cell == number)
-        some, execution = device_tables.gather(scenarios, rows), Execution(threads=1)
+        own, here = batch.cells[number], np.flatnonzero(cell == number)
+        some, execution = device_tables.gather(scenarios, here), Execution(threads=1)
         problem = Problem(own.robot, own.workpiece, some, own.settings, own.task, own.obstacles, execution)
-        causes = start_cause.start_causes(problem, status[rows], rounds=1)
-        found |= {int(rows[s]): cause for s, cause in causes.items()}
+        causes = start_cause.start_causes(problem, status[here], rounds=1)
+        found |= {int(here[s]): cause for s, cause in causes.items()}
     return found

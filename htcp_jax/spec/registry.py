@@ -16,7 +16,7 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, did_you_mean
 
 NAME = re.compile(r"[a-z0-9-]+")  # valid names; they are used in names of files and folders
 
@@ -77,8 +77,9 @@ class Registry:
 
     def refuse_unknown(self, name: str) -> None:
         """Raise InputError if no extension has this name. Nothing is imported."""
-        if name not in self.names():
-            raise InputError(f"{name!r} is not {self._a_noun}; valid: {', '.join(self.names()) or 'none is installed'}")
+        if name not in (known := self.names()):
+            what = f"{name!r} is not {self._a_noun}; {did_you_mean(name, known)}"
+            raise InputError(f"{what}valid: {', '.join(known) or 'none is installed'}")
 
     def added(self) -> dict[str, Any]:
         """Return all added extensions by name. Those that cannot be imported are excluded, with a UserWarning."""

@@ -207,7 +207,7 @@ class _Timer:
     def missing(self, method: str) -> list[int]:
         """Return a method's scenarios with results but without times."""
         shards = [shard for shard in self.found.run.manifest.shards if shard.method == method]
-        planned = {number for shard in shards for number in range(shard.first, shard.last + 1)}
+        planned = {number for shard in shards for number in shard.scenario_numbers}
         return sorted(planned - set(self.known(method).rows["scenario"].to_pylist()))
 
     def one(self, method: str, scenario: int) -> _TimedScenario | None:

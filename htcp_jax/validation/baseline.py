@@ -70,6 +70,11 @@ class Times(strict_model.FileSection):
     held: WholeNumber  # number of scenarios in which the feed is held
     cycle_time_s: dict[WholeNumber, Annotated[float, Field(gt=0)]]  # by scenario with a motion to the last target
 
+    def of_scenarios(self, numbers: Collection[int]) -> "Times":
+        """Return the times of some scenarios, by their numbers; the number of held feeds is then None."""
+        kept = {number: seconds for number, seconds in self.cycle_time_s.items() if number in numbers}
+        return self.model_copy(update={"cycle_time_s": kept, "held": None})
+
     @property
     def cycle_mean_s(self) -> float | None:
         """Mean cycle time; None without any."""
@@ -81,7 +86,7 @@ class Scores(strict_model.FileSection):
 
     tracked: WholeNumber
     targets: WholeNumber
-    executable: WholeNumber  # number of tracked targets that a proven motion reaches
+    executable: WholeNumber  # number of tracked targets that a proven motion reaches; None in `of_scenarios`
     complete: WholeNumber  # number of complete scenarios
     tcp_error_max_mm: float | None  # this and the next two are over all tracked targets; None: no target
     clearance_min_mm: float | None
@@ -94,6 +99,20 @@ class Scores(strict_model.FileSection):
     def ends(self) -> dict[int, End]:
         """Each scenario's end, by scenario."""
         return {number: _read_end(text) for number, text in self.scenarios.items()}
+
+    def of_scenarios(self, numbers: Collection[int], targets: int) -> "Scores":
+        """Return the results in some scenarios; the number of executable targets and that of held feeds become None.
+
+        Args:
+            numbers: Numbers of the scenarios.
+            targets: Number of their targets.
+        """
+        kept = {number: text for number, text in self.scenarios.items() if number in numbers}
+        ends = [_read_end(text) for text in kept.values()]
+        times = self.times and self.times.of_scenarios(numbers)
+        counts = {"tracked": sum(end.tracked for end in ends), "complete": sum(e.status == COMPLETE for e in ends)}
+        unknown = {"executable": None}
+        return self.model_copy(update={"scenarios": kept, "targets": targets, "times": times, **counts, **unknown})
 
     @model_validator(mode="after")
     def _adds_up(self) -> "Scores":
@@ -208,6 +227,16 @@ class Baseline(strict_model.FileSection):
         first = next(iter(self.methods.values()))
         chosen = self.allow.elsewhere if elsewhere else self.allow.here
         return chosen.in_numbers(first.targets, len(first.scenarios))
+
+    def of_scenarios(self, numbers: Collection[int], targets: int) -> "Baseline":
+        """Return the baseline of some scenarios, without the values that are known only for all of them.
+
+        Args:
+            numbers: Numbers of the scenarios.
+            targets: Number of their targets.
+        """
+        methods = {name: scores.of_scenarios({*numbers}, targets) for name, scores in self.methods.items()}
+        return self.model_copy(update={"methods": methods, "reachability": None})
 
     def only(self, methods: Collection[str]) -> "Baseline":
         """Return the baseline of some of its methods.
@@ -338,7 +367,7 @@ def _reason_not_to_update(run: Run, old: Baseline | None) -> str | None:
 
 
 def _unplanned(run: Run) -> str:
-    left = {method: sum(span.last - span.first + 1 for span in run.missing(method)) for method in run.methods}
+    left = {method: sum(map(len, run.missing(method))) for method in run.methods}
     return "; ".join(f"{method} lacks {labels.counted(count, 'scenario')}" for method, count in left.items() if count)
 
 
@@ -372,7 +401,8 @@ def _end(found: plans.Outcome) -> End:
 
 
 def _reachability_scores(run: Run) -> ReachabilityScores | None:
-    found = reachability_file.read_reachability(run)
+    """Return the results of `htcp reachability`; None if they are unknown, or if a part of the grid was chosen."""
+    found = None if run.manifest.scenarios is not None else reachability_file.read_reachability(run)
     return found and ReachabilityScores(
         reachable=int(found.prefix.sum()), resolution_rad=found.resolution_rad, seed=found.seed
     )

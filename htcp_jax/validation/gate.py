@@ -150,6 +150,8 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
         baseline: The baseline.
         progress: Function that is called with the number of validated plans and of all plans.
 
+    If scenarios of the grid were chosen, only these are compared; a note says so.
+
     Raises:
         InputError: If the baseline belongs to another sweep or configuration.
     """
@@ -162,13 +164,17 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
             f"{run.folder} was planned with another job than the baseline: {differing[0]}{more}; "
             "if that is intended, write a new baseline with --update"
         )
-    found = summarise_run(run, progress)
+    found, notes = summarise_run(run, progress), []
+    if (chosen := run.manifest.scenarios) is not None:
+        baseline = baseline.of_scenarios(chosen, run.manifest.targets)
+        left = "numbers of executable targets and of held feeds, and reachability, are not compared"
+        notes = [f"the run is {run.manifest.part}; {left}"]
     used = sorted({shard.planned_by for shard in run.manifest.shards})
     verdict = _compare(baseline, found, tuple(_origin(run.manifest.planned_by[k]) for k in used))
     labels = run.labels() if verdict.changed else {}
     changed = (one._replace(label=run_labels.named_scenario(one.scenario, labels)) for one in verdict.changed)
-    notes = _other_software(baseline, verdict.run, run.manifest.plugins)
-    return verdict._replace(changed=tuple(changed), notes=notes)
+    notes += _other_software(baseline, verdict.run, run.manifest.plugins)
+    return verdict._replace(changed=tuple(changed), notes=tuple(notes))
 
 
 def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
@@ -245,6 +251,7 @@ def _lines(
     if now is None:
         return dict.fromkeys(CHECKS) | {SCENARIOS: ["missing"]}
     lines: dict[str, list[str] | None] = {name: [] for name in CHECKS}
+    lines[EXECUTABLE] = None if was.executable is None else []
     others, lost = list(found.other_scenarios.get(method, ())), [n for n in was.scenarios if n not in now.scenarios]
     if lost:
         missing = f"{len(lost)} of {run_labels.counted(len(was.scenarios), 'scenario')} missing, the first is {lost[0]}"
@@ -252,7 +259,8 @@ def _lines(
     elif now.targets != was.targets:
         others += [f"other scenarios: they have {now.targets:,} targets, {was.targets:,} in the baseline"]
     lines[SCENARIOS] = others
-    counts = ((TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable))
+    counts = [(TRACKED, was.tracked, now.tracked), (EXECUTABLE, was.executable, now.executable)]
+    counts = [(name, before, after) for name, before, after in counts if before is not None]
     for name, before, after in counts:
         if (fewer := before - after) > allow.targets:
             what = f"{run_labels.counted(fewer, 'target')} fewer {name.split()[0]}"
@@ -294,7 +302,7 @@ def _times_broken(was: Times, now: Times | None, allow: Allowance) -> list[str]:
     if (was.feed_m_s, was.limits) != (now.feed_m_s, now.limits):
         return ["not comparable: timed with another feed or other limits than the baseline"]
     wrong, may = [], 1 + allow.cycle_time_percent / 100
-    if (fewer := was.held - now.held) > allow.scenarios:
+    if was.held is not None and (fewer := was.held - now.held) > allow.scenarios:
         wrong.append(
             f"{run_labels.counted(fewer, 'scenario')} fewer with the feed held, {now.held} of {len(now.cycle_time_s)}"
         )

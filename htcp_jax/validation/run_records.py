@@ -23,11 +23,18 @@ def manifest_faults(run: Run) -> list[str]:
         InputError: If the grid cannot be read.
     """
     manifest, faults = run.manifest, []
-    grid = manifest.model_copy(update={"count": manifest.full + 1})  # one scenario more than stated, if there is one
+    grid = manifest.model_copy(
+        update={"count": manifest.full + 1, "scenarios": None}
+    )  # one scenario more than stated, if there is one
     full = len(Run(run.folder, grid).points())
-    count = full if manifest.limit is None else min(manifest.limit, full)
+    chosen, seed = manifest.scenarios, run.config.settings.seed
+    count = min(x for x in (manifest.limit, full if chosen is None else len(chosen), full) if x is not None)
+    if manifest.is_sample and not manifest.is_drawn_from(full):
+        faults.append(f"the manifest states another sample than seed {seed} draws")
+    if chosen is not None and chosen[-1] >= full:
+        faults.append(f"the manifest states scenario {chosen[-1]}, but the grid has {full:,}")
     stated = (
-        ("seed", manifest.seed, run.config.settings.seed),
+        ("seed", manifest.seed, seed),
         ("full", manifest.full, full),
         ("count", manifest.count, count),
         ("methods", len(manifest.methods), len(set(manifest.methods))),
@@ -66,7 +73,7 @@ def scenario_faults(run: Run, method: str) -> list[str]:
 def _row_faults(run: Run, method: str, targets: pa.Table, scenarios: pa.Table) -> Iterator[str]:
     """Yield faults of the numbers and methods of rows, and of the manifest's counts of them."""
     shards = sorted((shard for shard in run.manifest.shards if shard.method == method), key=lambda shard: shard.first)
-    numbers = [number for shard in shards for number in range(shard.first, shard.last + 1)]
+    numbers = sorted(number for shard in shards for number in shard.scenario_numbers)
     saved = scenarios["scenario"].to_pylist()
     if saved != numbers:
         yield f"other scenarios: scenarios/ has the rows {_short(saved)}, the manifest {_short(numbers)}"
@@ -83,7 +90,7 @@ def _row_faults(run: Run, method: str, targets: pa.Table, scenarios: pa.Table) -
         yield f"the manifest states {run.manifest.targets:,} targets, scenarios/ {sum(counts):,}"
     of = dict(zip(saved, scenarios["tracked"].to_pylist(), strict=True))
     for shard in shards:
-        if (tracked := sum(of[number] or 0 for number in range(shard.first, shard.last + 1))) != shard.tracked:
+        if (tracked := sum(of[number] or 0 for number in shard.scenario_numbers)) != shard.tracked:
             stated = f"{shard.tracked:,} tracked targets in the shard from scenario {shard.first}"
             yield f"the manifest states {stated}, not {tracked:,}"
 

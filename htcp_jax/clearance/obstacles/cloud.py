@@ -41,6 +41,9 @@ class Cloud(Obstacle):
     sweeps = True
     is_exact = True
 
+    def __repr__(self) -> str:
+        return f"Cloud({getattr(self.points, 'shape', '?')[0]} points)"
+
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
         return self._nearest(robot, where, bodies, None)

@@ -97,6 +97,18 @@ def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Jo
     return _smallest(kinematics.checked_configuration(robot, x), robot, obstacles, where)
 
 
+def minimum_clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
+    """Return D(x, O) [m] of `clearance`. This is its name in `htcp_jax`, where `clearance` is the package.
+
+    Args:
+        robot: The robot, with the scenario's tool.
+        obstacles: The obstacles O.
+        where: A scenario, or another `HasWorkpiecePose`.
+        x: The configuration [rad or m].
+    """
+    return clearance(robot, obstacles, where, x)
+
+
 @jax.jit
 def is_clear(
     robot: Robot,
