@@ -62,6 +62,7 @@ SIZES = {  # packages with fewer than 5 or more than 15 public names, and why
     "trajectory": "programs, their figures and the timing of plans and runs",
     "proving": "curves of a motion, and proofs of arrays, of files and of our programs",
     "sequencing": "an order, its result, and the check of its precedence",
+    "report": "pages of runs and of plans, and the facts and tables that commands share with them",
     "viewer": "pictures, movies and replays of plans, of runs and of programs",
     "motion": "plans, their checks and the functions of one lane, which two families of methods are made of",
     "runs": "each file of a run's folder has a module",

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from htcp_jax.errors import InputError, Note
-from htcp_jax.io.parts import read_path_points
+from htcp_jax.io.parts import load_workpiece, read_path_points
+from htcp_jax.io.robots.loading import gp50
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.resolve import with_seams
 from htcp_jax.jobs.seam_paths import points_of_seams
@@ -106,6 +107,20 @@ def test_a_contour_begins_where_its_first_move_at_a_feed_begins_and_rapids_divid
 def test_the_tool_axis_holds_until_it_changes_and_begins_with_z(tmp_path):
     found = read(tmp_path, f"{START}GOTO/1,0,0\nTLAXIS/0,1,0\nGOTO/2,0,0\nGOTO/3,0,0,0,0,-1\nMULTAX/OFF\nGOTO/4,0,0\n")
     assert found.frames.normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 0, -1], [0, 0, -1]]
+
+
+def test_a_wrong_unit_in_a_file_is_named_with_the_right_one(tmp_path):
+    (tmp_path / "weld.apt").write_text("UNITS/INCHES\nRAPID\nGOTO/0,0,0\nGOTO/300,0,0\nGOTO/300,300,0\nFINI\n")
+    cube = 0.3 * np.random.default_rng(0).random((400, 3))
+    said = "it was read as inches, but seems to be in millimetres; set workpiece.path_unit: mm$"
+    with pytest.raises(InputError, match=said):
+        load_workpiece(cube, read_path_points(tmp_path / "weld.apt"), interior="none", robot=gp50())
+
+
+def test_two_units_in_one_file_are_refused_with_both_lines(tmp_path):
+    (tmp_path / "weld.apt").write_text("UNITS/MM\nUNITS/INCHES\nRAPID\nGOTO/0,0,0\nGOTO/1,0,0\n")
+    with pytest.raises(InputError, match="line 2: UNITS/INCHES, but line 1 has another unit"):
+        read_path_points(tmp_path / "weld.apt")
 
 
 def test_moves_along_the_tools_axis_at_the_ends_of_a_contour_are_no_part_of_the_seam(tmp_path):

@@ -110,7 +110,8 @@ def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
             raise InputError(f"seams: {', '.join(lacking)}: the path has no {name}, but those of other seams have some")
         joined[name] = None if lacking else np.concatenate(own)
     begins = np.cumsum([len(each.xyz) for each in found])[:-1].tolist()
-    points = parts.PathPoints(np.concatenate([each.xyz for each in found]), PathFrames(**joined))
+    unit = next((each.unit for each in found if each.unit), None)
+    points = parts.PathPoints(np.concatenate([each.xyz for each in found]), PathFrames(**joined), unit=unit)
     return SeamPoints(points, tuple(begins))
 
 

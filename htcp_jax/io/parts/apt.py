@@ -61,6 +61,7 @@ class AptPath(NamedTuple):
     normals: Float[np.ndarray, "T 3"] | None  # tool axis from the tip to the handle, unit; None: the file has none
     seams: list[SeamRows]
     feeds_m_s: list[float | None]  # feed of each seam; None: unknown, or several
+    unit: str | None  # unit of the file's coordinates
 
 
 class _Record(NamedTuple):
@@ -312,7 +313,7 @@ class _Reader:
         if plunges := sum(len(each.points) for each in whole) - len(xyz):
             what = f"{plunges} moves at a feed along the tool's axis, to or from the ends of contours, are not used: "
             warnings.warn(f"{self.path}: {what}the planner finds its own approach", Note, stacklevel=5)
-        return AptPath(xyz, normals, seams, feeds)
+        return AptPath(xyz, normals, seams, feeds, self.state.unit)
 
     def _name_unused(self, contours: list[_Contour]) -> None:
         notes = []

@@ -28,6 +28,7 @@ class PathPoints(NamedTuple):
     frames: PathFrames
     seams: Sequence[SeamRows] = ()  # the seams in the file
     feeds_m_s: Sequence[float | None] = ()  # feed of each seam; None: unknown; empty: the file has no feeds
+    unit: str | None = None  # unit in which an APT source was read; None: see the table's header
 
     def rows(self, rows: slice | Int[np.ndarray, "n"]) -> "PathPoints":
         """Return some of the points as one seam, in another order or backwards.
@@ -38,7 +39,7 @@ class PathPoints(NamedTuple):
         frames = PathFrames(*(None if each is None else each[indices] for each in self.frames))
         if frames.tangents is not None and len(indices) > 1 and indices[1] < indices[0]:
             frames = frames._replace(tangents=-frames.tangents)
-        return PathPoints(self.xyz[indices], frames)
+        return PathPoints(self.xyz[indices], frames, unit=self.unit)
 
 
 def read_path_points(
@@ -97,7 +98,7 @@ def _of_apt(path: Path, chosen: Mapping[str, int | str], unit: str | None, maker
     for key, value in (("workpiece.path_columns", chosen), (angles.KEY, maker)):
         if value:
             raise InputError(f"{path}: {key} is for tables, but the path is an APT source; omit the key")
-    return PathPoints(found.xyz, PathFrames(found.normals), found.seams, found.feeds_m_s)
+    return PathPoints(found.xyz, PathFrames(found.normals), found.seams, found.feeds_m_s, found.unit)
 
 
 def _family(table: PathTable, families: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:

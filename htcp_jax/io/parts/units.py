@@ -137,19 +137,22 @@ def check_tool_extent(
         )
 
 
-def check_path_unit(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str) -> None:
+def check_path_unit(
+    cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], name: str, unit: str | None = None
+) -> None:
     """Check that a path is near its part.
 
     Args:
         cloud: The part's points [m].
         path: The tool path [m].
         name: The part's name, for messages.
+        unit: Unit in which the path's file was read; None: it states none, so that metres were assumed.
 
     Raises:
         InputError: If the median distance of the path's points from the cloud is too large.
     """
     if (distance := median_distance(cloud, path)) > _stand_off(cloud):
-        raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path)}")
+        raise InputError(f"half of the path is {distance:.3g} m or more from {name}; {_path_hint(cloud, path, unit)}")
 
 
 def _report(text: str, absurd: bool) -> None:
@@ -183,13 +186,17 @@ def _part_hint(
     return f"{whose} to be in {unit}; set {' and '.join(f'{each}: {KEYS[unit]}' for each in keys)}"
 
 
-def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"]) -> str:
-    """Return a hint at the length unit of a path that is far from its part."""
-    extent = _extent(cloud)
-    for unit, metres in sorted(METRES.items(), key=lambda item: -item[1]):
+def _path_hint(cloud: Float[np.ndarray, "P 3"], path: Float[np.ndarray, "T 3"], read_in: str | None) -> str:
+    """Return a hint at the length unit of a path that is far from its part; it was read in the unit `read_in`."""
+    extent, factors = _extent(cloud), METRES if read_in is None else METRES | {"metres": 1.0}
+    for unit, in_file in sorted(factors.items(), key=lambda item: -item[1]):
+        metres = PER_METRE[read_in or "m"] * in_file
         # With too small a unit any path is at the origin, but too short.
         right_length = 0.05 * extent <= metres * _extent(path) <= 2.0 * extent
         if right_length and median_distance(cloud, metres * path) <= 0.5 * extent:
+            if read_in is not None and unit in KEYS:
+                read_as = next(name for name, key in KEYS.items() if key == read_in)
+                return f"it was read as {read_as}, but seems to be in {unit}; set workpiece.path_unit: {KEYS[unit]}"
             key = f", or set workpiece.path_unit: {KEYS[unit]}" if unit in KEYS else ""
             return f"the path seems to be in {unit}; convert it to metres (factor {metres:g}){key}"
     return "both must be in metres and in the same frame"

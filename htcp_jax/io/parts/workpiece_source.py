@@ -221,7 +221,8 @@ def load_workpiece(
     source, track = _moved(source, track, own)
     surface = source.walls(None if robot is None else thinnest_nearby(robot))
     if robot is not None and not isinstance(source, NoCloud):
-        check_path_unit(surface.points, track.xyz, own["name"])
+        label = Path(getattr(source, "label", own["name"])).name
+        check_path_unit(surface.points, track.xyz, label, track.unit)
     return Workpiece(cloud=surface.points, path=track.xyz, covering_radius_m=surface.radius_m, **own)
 
 
