@@ -16,6 +16,7 @@ from . import (
     timing_file,
 )
 from .columns import Column
+from .indexed import IndexedAxes, indexed_axes
 from .motion_summary import MotionSummary, summarise_motion
 from .open import PlanSet, open_plans
 from .parameters import Parameters, of_job
@@ -25,6 +26,7 @@ from .seam_order import SeamOrder
 
 __all__ = [
     "Column",
+    "IndexedAxes",
     "MotionSummary",
     "Parameters",
     "PlanSet",
@@ -35,6 +37,7 @@ __all__ = [
     "columns",
     "finite",
     "identity",
+    "indexed_axes",
     "input_files",
     "labels",
     "manifest",
