@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import toy
 import yaml
+from test_json_schemas import fits
 from test_seams import LEFT, RIGHT
 
 from htcp_jax.cli import main
@@ -21,7 +22,7 @@ J3 = "j3_rad"
 def write_job(folder, *seams, indexed=("j3",), **changes):
     """Write the toy arm's job with the shelf above the arm, so that it need not fold, and indexed axes."""
     file = toy.write_job(folder, robot={"model": "arm.xml", "indexed": list(indexed)})
-    np.savetxt(folder / "shelf.xyz", toy.workpiece().cloud + [0.0, 0.0, 0.4])
+    np.savetxt(folder / "shelf.xyz", toy.workpiece().cloud + np.array([0.0, 0.0, 0.4]))
     job = yaml.safe_load(file.read_text())
     if seams:
         del job["workpiece"]["path"]
@@ -53,6 +54,7 @@ def written(file, rows) -> None:
 def test_the_axis_has_one_position_on_each_seam_and_moves_with_the_arm_between_them(planned):
     rows, summary = rows_of(planned / "out/motion.csv"), json.loads((planned / "out/summary.json").read_text())
     targets = rows_of(planned / "out/trajectory.csv")
+    fits("plan", summary)
     on_seam = {name: {row[J3] for row in rows if row["seam"] == name and row["kind"] == Kind.PROCESS.name}
                for name in ("left", "right")}  # fmt: skip
     assert all(len(positions) == 1 for positions in on_seam.values())
@@ -96,7 +98,9 @@ def test_a_proof_of_the_motion_states_whether_the_axis_stands_still_along_the_pa
     assert main(["prove", str(tmp_path / "moved.csv"), *job]) == 1
     printed = capsys.readouterr().out
     assert "indexed axis moves: j3" in printed and "j3 moves by up to 5.73e-08 deg on lines" in printed
-    (axis,) = json.loads((tmp_path / "proof/proof.json").read_text())["deviation"]["indexed"]
+    record = json.loads((tmp_path / "proof/proof.json").read_text())
+    fits("proof", record)
+    (axis,) = record["deviation"]["indexed"]
     assert axis["joint"] == "j3" and axis["travel"] == pytest.approx(1e-9, rel=1e-5)
 
 

@@ -25,6 +25,7 @@ NEAR_M = 1e-3  # configurations within this distance of the path, or its toleran
 TIED_M = 1e-5  # points of the path count as equally near within this distance
 JUMP = 3.0  # consecutive samples cover the path between them if it is at most this times as long as the TCP's step
 PROGRESS = 1e-6  # motion along the path, counted in targets, below which a segment does not lead along it
+ARRIVAL = 1e-6  # travel of an indexed axis on the first segment of a seam that does not count [rad or m]
 CHUNK = 4096  # sampled places at a time
 PROCESS = (Kind.PROCESS.words, Kind.DWELL.words)  # kinds of rows on the path in this package's files
 
@@ -178,6 +179,9 @@ def _indexed_travel(
 ) -> tuple[IndexedTravel, ...]:
     """Return the travel of the indexed axes on the path: a bound, which is 0 if they stand still.
 
+    In a file of samples, an air move ends between two samples. Therefore up to ARRIVAL does not count on the first
+    segment of a seam.
+
     Args:
         problem: The problem.
         path: Its path.
@@ -187,11 +191,13 @@ def _indexed_travel(
         is_known: False if `on` means only near the path. Then segments that do not lead along it are excluded, as the
             end of an air move.
     """
+    begins = on & ~np.append(False, on[:-1])
     if not is_known:
         place = _nearest(path, tcp_positions(problem, x))[1]
         on = on & (np.abs(np.diff(place)) > PROGRESS)
     here, found = np.flatnonzero(on[curves.segment]), []
     travel = np.abs(curves.coefficients[here, 1:]).sum(axis=1)
+    travel[begins[curves.segment[here], None] & (travel <= ARRIVAL)] = 0.0
     for joint in np.flatnonzero(problem.indexed).tolist():
         worst = int(travel[:, joint].argmax()) if len(here) else 0
         most = float(travel[worst, joint]) if len(here) else 0.0
