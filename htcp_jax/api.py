@@ -102,6 +102,7 @@ class Plan:
             **self._reduced_margin(),
             **self._length(),
             **self._joint_step(),
+            **self._indexed_facts(),
             "targets tracked": f"{s.tracked} of {s.targets} ({100 * s.success_rate:.2f} %){recovered}",
             **self._distances(),
             **self._singular(),
@@ -200,6 +201,17 @@ class Plan:
         size = f"{1e3 * step:.3g} mm" if slides else f"{np.rad2deg(step):.3g} deg"
         name = self.robot.joint_names[found.joint_step_joint]
         return {"largest joint step": f"{size} of {name}, on the segment to target {found.joint_step_target}"}
+
+    @property
+    def indexed(self) -> list[runs.IndexedAxes]:
+        """Positions of the indexed axes on each seam that the motion reaches; empty without such axes."""
+        names = [] if self.order is None else [seam.name for seam in self.job.workpiece.seams]
+        return runs.indexed_axes(self.robot, self.plans, int(self.scenario.on_path), names)
+
+    def _indexed_facts(self) -> dict[str, str]:
+        """Return a line with the positions of the indexed axes on each seam; {} without such axes."""
+        found = self.indexed
+        return {"indexed axes": "; ".join(each.description for each in found)} if found else {}
 
     def _checked(self) -> dict[str, str]:
         """Return lines for the checked bodies, self-collision pairs and fixtures; fixtures on links come first."""
@@ -431,6 +443,8 @@ class Plan:
             known["order"] = self.order.record()
         if self.job.errors is not None:
             known["errors"] = errors_record(self.job.errors, self.error_scale)
+        if self.robot.indexed:
+            known["indexed"] = [each.record() for each in self.indexed]
         if (joint := self.motion_summary.joint_step_joint) is not None:
             known["motion"]["joint_step_joint"] = self.robot.joint_names[joint]
         at = self._least_manipulability

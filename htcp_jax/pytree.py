@@ -57,4 +57,4 @@ def without_labels(value: Value) -> Value:
 def _empty(label):
     if type(label) is tuple:
         return ("",) * len(label) if all(isinstance(each, str) for each in label) else ()
-    return "" if isinstance(label, str) else None
+    return type(label)() if isinstance(label, str | frozenset) else None

@@ -102,6 +102,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "them are a solid or flat",
         "read_model": "reader of an arm's file, or of a cell's, which MuJoCo composes",
         "read_joint_limits": "reader of a file with joint limits",
+        "indexed_joints": "names of the indexed axes, of the job and of its models",
         "LinkMeshes": "meshes to which an arm's file refers, placed by MuJoCo and measured by FCL",
     },
     "jobs": {

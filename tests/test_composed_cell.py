@@ -262,3 +262,19 @@ def test_a_job_of_one_model_keeps_its_identity_and_the_files_of_a_composed_cell_
     assert composed["positioner"]["model"] in files
     other = {**composed, "positioner": {**composed["positioner"], "base_m": [0, 0, 1]}}
     assert identity(composed, [], "float64", files) != identity(other, [], "float64", files)
+
+
+def test_all_joints_of_an_indexed_model_are_indexed_and_no_others(models):
+    robot = robot_of(models | {"positioner": models["positioner"] | {"indexed": True}})
+    assert robot.indexed == {"b1", "b2", "b3"}
+    robot = robot_of(
+        models | {"rail": models["rail"] | {"indexed": True}, "robot": models["robot"] | {"indexed": ["a1"]}}
+    )
+    assert robot.indexed == {"rail", "a1"} and not robot_of(models).indexed
+    lock = {"locked": {"b1": 0.0, "b2": 0.0}}
+    robot = robot_of(
+        models
+        | {"positioner": models["positioner"] | {"indexed": True}, "robot": models["robot"] | lock}
+        | {"start_rad": [0.0] * 5}
+    )
+    assert robot.indexed == {"b3"}

@@ -63,3 +63,14 @@ def test_the_seam_is_complete_and_validated_with_the_positioner_free_and_not_wit
     assert found.validated, found.refuted[:3]
     tilted = htcp_jax.plan(JOB, {"robot.locked": {"tilt": -0.8}})
     assert not tilted.complete and tilted.outcome.failed == 9
+
+
+@pytest.mark.slow
+def test_with_an_indexed_tilt_the_seam_is_complete_and_validated_at_one_tilt_that_the_planner_chooses(tmp_path):
+    plan = htcp_jax.plan(JOB, {"robot.indexed": ["tilt"]})
+    assert plan.complete and plan.outcome.executable == 50, plan.failure()
+    (tilt,) = {*plan.motion().x[:, 1].tolist()}
+    assert 50.9 < abs(np.rad2deg(tilt)) < 60  # the only tilts that do, see docs/positioner.md
+    plan.save(tmp_path / "plan")
+    found = validate_results(tmp_path / "plan")
+    assert found.validated, found.refuted[:3]

@@ -21,7 +21,7 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity
-from htcp_jax.proving import FileProof, proof_record, prove_file
+from htcp_jax.proving import FileProof, IndexedTravel, proof_record, prove_file
 from htcp_jax.report import Table, draw_proof
 from htcp_jax.system import output_files
 
@@ -76,8 +76,9 @@ def prove(
 
     Also reported: joint limits, and where the job has a path, the distance of the TCP from it.
 
-    Exit codes: 0 if all segments are proven, 1 if one is refuted or a joint limit is violated, 4 if none is refuted but
-    some are undecided or cannot be proven, or the motion is not proven for the errors stated, 2 on bad input.
+    Exit codes: 0 if all segments are proven, 1 if one is refuted, a joint limit is violated or an indexed axis moves
+    along the path, 4 if none is refuted but some are undecided or cannot be proven, or the motion is not proven for the
+    errors stated, 2 on bad input.
 
     \b
     Examples:
@@ -142,6 +143,8 @@ def _print_proof(found: FileProof, out: Path, seconds: float) -> None:
     if found.violated:
         names = ", ".join(f"{use.quantity} of {use.joint}" for use in found.violated)
         stdout().print(Text.assemble(("limit violated", "bold red"), f": {names}"))
+    if found.moved_on_seams:
+        stdout().print(Text.assemble(("indexed axis moves", "bold red"), f": {', '.join(found.moved_on_seams)}"))
     stdout().print()
     if (table := unproven_table(found)).rows:
         print_table(stdout(), table)
@@ -217,11 +220,21 @@ def _deviation_facts(found: FileProof) -> dict[str, str]:
         lacking = f"; not {', '.join(names[:MOST_MISSED])}" if names else ""
         more = f" and {len(names) - MOST_MISSED} more" if len(names) > MOST_MISSED else ""
         facts["points visited"] = f"{count}, within {1e3 * (found.near_m or 0.0):g} mm{lacking}{more}"
+    if deviation.indexed:
+        facts["indexed axes"] = "; ".join(_indexed_text(found, axis) for axis in deviation.indexed)
     rows = []
     for row in deviation.rows:
         size = f"{math.degrees(row.error):.3g} deg" if row.is_angle else f"{1e3 * row.error:.3g} mm"
         rows.append(f"{row.row}: {size}")
     return facts | ({"task rows": "; ".join(rows) + ", at sampled places"} if rows else {})
+
+
+def _indexed_text(found: FileProof, axis: IndexedTravel) -> str:
+    """Return the travel of an indexed axis as text."""
+    if axis.segment is None:
+        return f"{axis.joint} stands still along the path"
+    size = f"{1e3 * axis.travel:.3g} mm" if axis.slides else f"{math.degrees(axis.travel):.3g} deg"
+    return f"{axis.joint} moves by up to {size} on {proof_record.lines_of(found, axis.segment)}"
 
 
 def unproven_table(found: FileProof) -> Table:

@@ -23,7 +23,7 @@ from htcp_jax.clearance.obstacles import (
 )
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io import parts
-from htcp_jax.io.robots import load_robot, part_moves
+from htcp_jax.io.robots import indexed_joints, load_robot, part_moves
 from htcp_jax.jobs import cell_shapes
 from htcp_jax.jobs.resolve import resolve
 from htcp_jax.jobs.seam_keys import with_goals_of_seams, with_margins_of_seams
@@ -139,6 +139,7 @@ def _bare_robot(arm: RobotConfig, tree: model_source.ComposedModel | None) -> Ro
             Note,
             stacklevel=3,
         )
+    robot = replace(robot, indexed=_indexed(arm, source, robot))
     if arm.bodies == "capsules":
         return replace(robot, pieces=None)
     if arm.bodies == "meshes" and robot.pieces is None:
@@ -147,6 +148,23 @@ def _bare_robot(arm: RobotConfig, tree: model_source.ComposedModel | None) -> Ro
             "set robot.bodies to capsules, or use a model file written by htcp robot"
         )
     return robot
+
+
+def _indexed(arm: RobotConfig, source: model_source.ModelSource, robot: Robot) -> frozenset[str]:
+    """Return the names of the robot's joints that stand still within each seam.
+
+    Raises:
+        InputError: If `robot.indexed` names a joint that the robot does not have, or if no other joint remains.
+    """
+    joints, locked = robot.joint_names, dict(arm.locked)
+    for name in arm.indexed:
+        if name not in joints:
+            why = "is locked, see robot.locked" if name in locked else "is not a joint that the planner moves"
+            raise InputError(f"robot.indexed: {name!r} {why}; valid: {', '.join(joints)}")
+    indexed = frozenset(indexed_joints(arm.indexed, source)) & frozenset(joints)
+    if len(indexed) == len(joints):
+        raise InputError(f"all joints of {robot.name} are indexed ({', '.join(joints)}); no joint moves along a seam")
+    return indexed
 
 
 def _in_cell(robot: Robot, arm: RobotConfig, cell: CellConfig) -> Robot:

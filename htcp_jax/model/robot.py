@@ -118,6 +118,8 @@ class Robot:
     world: ArmFrame = dataclasses.field(default=WORLD, metadata=_STATIC)
     omitted: tuple[str, ...] = dataclasses.field(default=(), metadata=LABEL)  # links that move and have no capsules
     coupling: Coupling | None = None  # None: no joint follows another, J = N, and the links are one chain
+    # names of coordinates that move only before the path and between seams
+    indexed: frozenset[str] = dataclasses.field(default=frozenset(), metadata=LABEL)
 
     @property
     def dof(self) -> int:

@@ -26,6 +26,7 @@ class LaneInputs(NamedTuple):
     seed: jax.Array  # random seed
     obstacle_numbers: jax.Array | None = None  # see `Scenario`
     max_joint_step: jax.Array | None = None  # maximum travel of each joint, see `longest_joint_steps`
+    still: jax.Array | None = None  # True for joints that must not move, see `Problem.with_still_joints`; None: none
 
 
 def lane_inputs(

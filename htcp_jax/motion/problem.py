@@ -138,6 +138,8 @@ class Problem:
             scenarios = scenario_functions.stack(scenarios)
         elif scenarios.x_start.ndim == 1:
             scenarios = scenario_functions.stack([scenarios])
+        if robot.indexed:  # the motion to the path may begin anywhere in the range of an indexed axis
+            settings = replace(settings, transfers=True)
         others, scenarios = with_given(obstacles, jax.tree.map(np.asarray, scenarios))
         scenarios = start_check.with_refused(robot, others, scenarios, check_starts)
         task = Task(tolerance_m=settings.tolerance_m) if task is None else task
@@ -207,6 +209,24 @@ class Problem:
         row = np.asarray(target - self.scenarios.on_path[scenario])  # row of the path
         begins = self.workpiece.seam_begins
         return (row <= 0) | np.isin(row, begins) if begins else row <= 0
+
+    @cached_property
+    def indexed(self) -> Bool[np.ndarray, "N"]:
+        """True for joints that stand still within each seam, see `Robot.indexed`."""
+        return np.array([name in self.robot.indexed for name in self.robot.joint_names])
+
+    def with_still_joints(self, inputs: LaneInputs, scenario: Rows, target: Rows) -> LaneInputs:
+        """Return inputs of lane functions with the joints that must not move on segments; the same without any.
+
+        Args:
+            inputs: The inputs.
+            scenario: Row of each segment's scenario.
+            target: Target at each segment's end; for a motion at a target, the next one.
+        """
+        if not self.robot.indexed:
+            return inputs
+        moves = self.off_path(scenario, target) & ~self.begins_anywhere[scenario]
+        return inputs._replace(still=self.indexed & ~moves[:, None])
 
     def empty_plans(self) -> Plans:
         """Return plans without any attempted target, to be filled in; refused scenarios already have their status."""
@@ -278,7 +298,12 @@ def _check_settings(settings: Settings, robot: Robot) -> None:
 
 
 def _check_task(task: Task, robot: Robot, scenarios: Scenario) -> None:
-    task.freedom(robot)
+    if task.freedom(robot) < len(robot.indexed):
+        moving = [name for name in robot.joint_names if name not in robot.indexed]
+        raise InputError(
+            f"the task has {task.rows} equations, more than the joints that move along a seam, {', '.join(moving)}; "
+            f"indexed: {', '.join(sorted(robot.indexed))}"
+        )
     if scenarios.task_goals is None and (given := scenarios.targets.shape[-1]) != task.rows:
         raise InputError(f"the task has {task.rows} equations, but the targets have {given} numbers")
     if scenarios.task_goals is not None and (given := scenarios.task_goals.shape[-1]) != task.numbers:

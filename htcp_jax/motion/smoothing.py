@@ -201,12 +201,21 @@ class Smoothing:
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
-        return solve_path_qp(
+        if self._problem.robot.indexed:
+            still = self._still(path)
+            lower, upper = np.where(still, 0.0, lower), np.where(still, 0.0, upper)
+        y = solve_path_qp(
             PathQP(
                 path.x, self._weights, path.constrained, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
                 path.begins_anywhere,
             )
         )  # fmt: skip
+        return np.where(still, 0.0, y) if self._problem.robot.indexed else y
+
+    def _still(self, path: SmoothedPath) -> Bool[np.ndarray, "P N"]:
+        """Return True for joints that must not move at configurations: indexed axes, within a seam."""
+        on_seam = (path.target + ~path.is_via_point > path.on_path) | path.begins_anywhere
+        return self._problem.indexed & on_seam[:, None]
 
     def _aims(self, path: SmoothedPath) -> Float[np.ndarray, "P 2"]:
         """Return the clearance that bodies may not go below at each configuration and half way to it [m].
@@ -295,7 +304,10 @@ class Smoothing:
         x[~new] = np.concatenate([last.x[1:] for *_, last in steps])[~new]
         off = new & np.concatenate([path.constrained & y.any(axis=1) for path, y, _ in steps])
         if off.any():
-            x[off] = self._checker.project(tables.gather(self._inputs(paths), off), x[off])
+            inputs = self._inputs(paths)
+            if self._problem.robot.indexed:
+                inputs = inputs._replace(still=np.concatenate([self._still(path) for path in paths]))
+            x[off] = self._checker.project(tables.gather(inputs, off), x[off])
         return [
             np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
             for path, own in zip(paths, _split_by_path(x, paths), strict=True)

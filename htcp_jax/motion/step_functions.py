@@ -4,6 +4,7 @@ A lane is a row of a batch. Each function takes the settings and the scene, whic
 own lane. `device.executor` runs the functions over tables of lanes.
 """
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise, surely_collides
 from htcp_jax.clearance.proof import bisection, joint_path, known_rows, motion_proof
 from htcp_jax.device import Loop, Remembering, by_chunks, lane_function
-from htcp_jax.model import TaskLinear, kinematics, reanchor
+from htcp_jax.model import Robot, TaskLinear, kinematics, reanchor
 from htcp_jax.motion.lane_inputs import LaneInputs
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import solve_step, step_qp
@@ -79,6 +80,20 @@ def joint_box(scene: Scene, lane: LaneInputs, x: Joints) -> tuple[Joints, Joints
         return robot.lower, robot.upper
     most = (1 - STEP_ROUNDING) * lane.max_joint_step
     return jnp.maximum(robot.lower, x - most), jnp.minimum(robot.upper, x + most)
+
+
+def with_still_joints(scene: Scene, lane: LaneInputs, x: Joints) -> Robot:
+    """Return the robot; the ranges of joints that must not move contain only their positions in x [rad or m]."""
+    robot = scene.robot
+    if lane.still is None:
+        return robot
+    lower, upper = (jnp.where(lane.still, x, limit) for limit in (robot.lower, robot.upper))
+    return dataclasses.replace(robot, lower=lower, upper=upper)
+
+
+def of_moving_joints(lane: LaneInputs, columns: Float[jax.Array, "*n N"]) -> Float[jax.Array, "*n N"]:
+    """Return a Jacobian, gradients or a step with 0 for the joints that must not move."""
+    return columns if lane.still is None else jnp.where(lane.still, 0.0, columns)
 
 
 def advance(
@@ -181,7 +196,8 @@ def may_be_valid(settings: Settings, scene: Scene, lane: LaneInputs, x):
 
 def settle(settings: Settings, scene: Scene, lane: LaneInputs, x):
     """Move x onto the lane's target by inverse kinematics, with a tenth of the usual tolerance."""
-    return reanchor(scene.robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
+    robot = with_still_joints(scene, lane, x)
+    return reanchor(robot, x, lane.target, 0.1 * scene.task.fine_m, task=scene.task)[0]
 
 
 def tip(settings: Settings, scene: Scene, lane: LaneInputs, x):
@@ -295,6 +311,8 @@ TRACK_CHUNK = lane_function.LaneFunction(
 CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP, any_cone=True)
 MAY_BE_VALID = lane_function.LaneFunction("may_be_valid", may_be_valid, lane_function.STEP, any_cone=True)
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP, any_cone=True)
+# the same for inputs with joints that must not move, as an executor has one executable for each lane function
+SETTLE_STILL = lane_function.LaneFunction("settle_still", settle, lane_function.STEP, any_cone=True)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP, any_cone=True)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP, any_cone=True)
 PROVE = lane_function.LaneFunction(
@@ -308,3 +326,13 @@ PROVE_POLYNOMIAL = lane_function.LaneFunction(
 def advance_of(settings: Settings) -> lane_function.LaneFunction:
     """Return the lane function that advances and measures lanes with the rows of `settings.clearance_rows`."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE
+
+
+def settle_call(inputs: LaneInputs, x) -> tuple:
+    """Return the call of `settle`, as for `Executor.preparing`.
+
+    Args:
+        inputs: Scenario and target of each lane.
+        x: Configurations (n, N) [rad or m].
+    """
+    return SETTLE if inputs.still is None else SETTLE_STILL, inputs, x

@@ -72,6 +72,7 @@ def projected(
     scenario: Int[np.ndarray, "n"],
     target: int | Int[np.ndarray, "n"],
     x: Float[np.ndarray, "n N"],
+    still: bool = False,
 ) -> State:
     """Return the states of configurations after inverse kinematics onto targets of their scenarios.
 
@@ -83,15 +84,21 @@ def projected(
         scenario: Row of each configuration's scenario.
         target: Index of the target, or one for each configuration.
         x: The configurations [rad or m].
+        still: True if indexed axes do not move.
     """
-    x = _on_targets(problem, checker, scenario, target, x)
+    x = _on_targets(problem, checker, scenario, target, x, still)
     return checker.states(problem.inputs(scenario, target), x)._replace(x=x, linear=None)
 
 
-def _on_targets(problem: Problem, checker: CollisionChecker, scenario, target, x) -> Float[np.ndarray, "n N"]:
+def _on_targets(
+    problem: Problem, checker: CollisionChecker, scenario, target, x, still: bool = False
+) -> Float[np.ndarray, "n N"]:
     """Return configurations after inverse kinematics, see `projected` [rad or m]."""
     periodic, about = np.asarray(kinematics.is_periodic(problem.robot)), _about(problem, scenario)
-    return _unwound(checker.project(problem.inputs(scenario, target), x), periodic, checker.executor.limits, about)
+    inputs = problem.inputs(scenario, target)
+    if still:
+        inputs = problem.with_still_joints(inputs, scenario, problem.scenarios.on_path[scenario] + 1)
+    return _unwound(checker.project(inputs, x), periodic, checker.executor.limits, about)
 
 
 def drawn_configurations(

@@ -58,6 +58,9 @@ def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Pr
         Lost: If a process is ended from outside.
     """
     chosen = method if isinstance(method, Method) else methods.find(method)
+    if problem.robot.indexed and not chosen.plans_indexed:
+        axes = ", ".join(sorted(problem.robot.indexed))
+        raise InputError(f"indexed axes ({axes}) need the method beam; {chosen.name} moves every joint along a seam")
     problem = problem.with_scenarios(problem.scenarios, _counter(problem.scenarios, progress))
     with compute_devices.on(problem.devices[0]):
         if problem.processes > 1 and methods.is_shared(chosen) and (shared := _shared_part(problem)):

@@ -22,12 +22,14 @@ class Method:
         title: Column heading in tables.
         description: A few words for lists of methods.
         smooth: True if the method's motions are smoothed, unless the settings disable it.
+        plans_indexed: True if the method keeps indexed axes still within each seam, see `Robot.indexed`.
     """
 
     name: str
     title: str
     description: str
     smooth: ClassVar[bool] = False
+    plans_indexed: ClassVar[bool] = False
 
     def plan(self, problem: "Problem") -> "Plans":
         """Plan every scenario of the problem, and return the plans; begin with `problem.empty_plans()`.

@@ -1,6 +1,7 @@
 from . import proof_record
 from .curves import JointCurves, corners, polynomials, straight
 from .file_proof import FileProof, motion_curves, prove_file
+from .path_deviation import IndexedTravel
 from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
 from .scaled_errors import ErrorScale, error_scale
@@ -12,6 +13,7 @@ __all__ = [
     "Contact",
     "ErrorScale",
     "FileProof",
+    "IndexedTravel",
     "JointCurves",
     "MotionProof",
     "ProgramProof",

@@ -84,6 +84,12 @@ class FileProof:
         return tuple(use for use in self.limits if use.is_violated)
 
     @property
+    def moved_on_seams(self) -> tuple[str, ...]:
+        """Names of indexed axes that move along the path, where they must stand still."""
+        axes = () if self.deviation is None else self.deviation.indexed
+        return tuple(axis.joint for axis in axes if axis.segment is not None)
+
+    @property
     def counted(self) -> str:
         """Unit of `motion.line`: "line", "row", "point" or "key"."""
         return self.motion.counted

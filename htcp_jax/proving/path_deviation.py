@@ -24,6 +24,8 @@ BETWEEN = 8  # sampled places between the ends of a joint path
 NEAR_M = 1e-3  # configurations within this distance of the path, or its tolerance, begin and end the process
 TIED_M = 1e-5  # points of the path count as equally near within this distance
 JUMP = 3.0  # consecutive samples cover the path between them if it is at most this times as long as the TCP's step
+PROGRESS = 1e-6  # motion along the path, counted in targets, below which a segment does not lead along it
+ARRIVAL = 1e-6  # travel of an indexed axis on the first segment of a seam that does not count [rad or m]
 CHUNK = 4096  # sampled places at a time
 PROCESS = (Kind.PROCESS.words, Kind.DWELL.words)  # kinds of rows on the path in this package's files
 
@@ -35,6 +37,15 @@ class RowDeviation(NamedTuple):
     error: float  # error, or violation of a cone or band [rad if `is_angle`, else m]
     is_angle: bool
     segment: int | None  # segment on which it occurs; None: the row is never violated
+
+
+class IndexedTravel(NamedTuple):
+    """Largest travel of an indexed axis on a segment of the path, where it must stand still."""
+
+    joint: str
+    slides: bool  # True for a prismatic joint
+    travel: float  # [rad or m]
+    segment: int | None  # segment with this travel; None: the axis stands still
 
 
 class PathDeviation(NamedTuple):
@@ -50,6 +61,7 @@ class PathDeviation(NamedTuple):
     rows: tuple[RowDeviation, ...]
     points: int = 0  # number of seams of one target
     missed: tuple[int, ...] = ()  # numbers of those, in the job's order, that no configuration comes near
+    indexed: tuple[IndexedTravel, ...] = ()  # travel of the indexed axes on segments along the path
 
 
 class _Path(NamedTuple):
@@ -153,7 +165,46 @@ def path_deviation(
         _row_deviations(problem, path, sampled, place, segment, rows),
         len(path.singles),
         visits.missed,
+        _indexed_travel(problem, path, curves, x, on, kind is not None) if problem.robot.indexed else (),
     )
+
+
+def _indexed_travel(
+    problem: Problem,
+    path: _Path,
+    curves: JointCurves,
+    x: Float[np.ndarray, "n N"],
+    on: Bool[np.ndarray, "m"],
+    is_known: bool,
+) -> tuple[IndexedTravel, ...]:
+    """Return the travel of the indexed axes on the path: a bound, which is 0 if they stand still.
+
+    In a file of samples, an air move ends between two samples. Therefore up to ARRIVAL does not count on the first
+    segment of a seam.
+
+    Args:
+        problem: The problem.
+        path: Its path.
+        curves: The motion's joint paths.
+        x: Its configurations [rad or m].
+        on: True for segments on the path.
+        is_known: False if `on` means only near the path. Then segments that do not lead along it are excluded, as the
+            end of an air move.
+    """
+    begins = on & ~np.append(False, on[:-1])
+    if not is_known:
+        place = _nearest(path, tcp_positions(problem, x))[1]
+        on = on & (np.abs(np.diff(place)) > PROGRESS)
+    here, found = np.flatnonzero(on[curves.segment]), []
+    travel = np.abs(curves.coefficients[here, 1:]).sum(axis=1)
+    travel[begins[curves.segment[here], None] & (travel <= ARRIVAL)] = 0.0
+    for joint in np.flatnonzero(problem.indexed).tolist():
+        worst = int(travel[:, joint].argmax()) if len(here) else 0
+        most = float(travel[worst, joint]) if len(here) else 0.0
+        slides = bool(problem.robot.sliding[joint])
+        segment = int(curves.segment[here[worst]]) if most > 0 else None
+        found.append(IndexedTravel(problem.robot.joint_names[joint], slides, most, segment))
+    return tuple(found)
 
 
 def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDeviation | None:

@@ -49,8 +49,8 @@ class UnprovenGroup(NamedTuple):
 
 
 def exit_code(found: FileProof) -> int:
-    """Return the exit code of `htcp prove`: 0, REFUTED also for a violated limit, or UNDECIDED also for errors."""
-    if found.verdict == "refuted" or found.violated:
+    """Return the exit code of `htcp prove`: 0, REFUTED also for a violated limit or a moved axis, or UNDECIDED."""
+    if found.verdict == "refuted" or found.violated or found.moved_on_seams:
         return REFUTED
     too_small = found.error_scale is not None and found.error_scale.scale < 1
     return UNDECIDED if found.verdict != "proven" or too_small else 0
@@ -220,7 +220,9 @@ def record_of(found: FileProof) -> dict[str, Any]:
 def _deviation_record(found: FileProof) -> dict[str, Any] | None:
     if (deviation := found.deviation) is None:
         return None
-    return deviation._asdict() | {"rows": [row._asdict() for row in deviation.rows]}
+    record = deviation._asdict() | {"rows": [row._asdict() for row in deviation.rows]}
+    indexed = [axis._asdict() for axis in record.pop("indexed")]
+    return record | ({"indexed": indexed} if indexed else {})
 
 
 def errors_text(found: FileProof) -> str:

@@ -17,6 +17,7 @@ from . import (
     timing_file,
 )
 from .columns import Column
+from .indexed import IndexedAxes, indexed_axes
 from .motion_summary import MotionSummary, summarise_motion
 from .open import PlanSet, open_plans
 from .parameters import Parameters, of_job
@@ -26,6 +27,7 @@ from .seam_order import SeamOrder
 
 __all__ = [
     "Column",
+    "IndexedAxes",
     "MotionSummary",
     "Parameters",
     "PlanSet",
@@ -37,6 +39,7 @@ __all__ = [
     "failure_texts",
     "finite",
     "identity",
+    "indexed_axes",
     "input_files",
     "labels",
     "manifest",

@@ -166,10 +166,13 @@ class _Configurations(NamedTuple):
 
     @classmethod
     def near(cls, problem: Problem, variant: Int[np.ndarray, "_"], x: Float[np.ndarray, "m N"]) -> "_Configurations":
-        """Return those configurations of some variants that are near some other configurations [rad or m]."""
+        """Return those configurations of some variants that are near some other configurations [rad or m].
+
+        Indexed axes are where they are in the other configurations, so that they need not move between the seams.
+        """
         checker, lane, x = problem.checkers[0], np.repeat(variant, len(x)), np.tile(x, (len(variant), 1))
         with devices.on(checker.executor.device):
-            at = transfers.projected(problem, checker, lane, 0, x)
+            at = transfers.projected(problem, checker, lane, 0, x, still=True)
             valid = checker.valid(problem.inputs(lane, 0), at)
         return cls(lane[valid], at.x[valid])
 

@@ -181,6 +181,8 @@ class RobotConfig(strict_model.FileSection):
     tool: Tool | None = None
     tool_extension_m: Number = 0.0
     locked: LockedJoints = ()  # names of joints that do not move, and their values [rad or m]
+    # names of joints that stand still within each seam, and move before the path and between seams
+    indexed: tuple[str, ...] = Field((), exclude_if=lambda names: not names)
     # collision bodies: "capsules", or "meshes", where convex pieces decide; None: "meshes" if the model has pieces
     bodies: Literal["capsules", "meshes"] | None = None
 
@@ -207,6 +209,8 @@ class ModelConfig(strict_model.FileSection):
     parent: Link = WORLD  # the world, or a link of another model that carries this one
     base_m: PointM = (0.0, 0.0, 0.0)  # position of the model's base frame in the parent's frame
     base_rpy_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)  # rotations about the parent's x, then y, then z
+    # True: its joints stand still within each seam, and move before the path and between seams
+    indexed: bool = Field(False, exclude_if=lambda indexed: not indexed)
 
     @model_validator(mode="after")
     def _has_a_model(self) -> "ModelConfig":
@@ -471,7 +475,14 @@ class PlanConfig(strict_model.FileSection):
         if not files and self.robot.parent == WORLD and self.workpiece.parent is None:
             return None
         models = [
-            model_source.PlacedModel(key, file, sections[key].parent, sections[key].base_m, sections[key].base_rpy_rad)
+            model_source.PlacedModel(
+                key,
+                file,
+                sections[key].parent,
+                sections[key].base_m,
+                sections[key].base_rpy_rad,
+                key != model_source.ROBOT and sections[key].indexed,
+            )
             for key, file in {model_source.ROBOT: self.robot.file, **files}.items()
         ]
         return model_source.ComposedModel(tuple(models), self.workpiece.parent)

@@ -18,6 +18,7 @@ class PlacedModel(NamedTuple):
     parent: str  # world, or KEY.LINK: a link or site of another model
     base_m: Triple  # position of the model's own frame in its parent's
     base_rpy_rad: Triple  # its rotation about the parent's x, then y, then z
+    indexed: bool = False  # True: all its joints stand still within each seam
 
 
 class ComposedModel(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import indexed_joints
 from htcp_jax.runs import of_job
 from htcp_jax.validation.mujoco_arm import ArmPoses, MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
@@ -138,6 +139,7 @@ def check(
         *_on_via_points(arm, track, paths),
         *_on_segments(track, paths, between_rows, follows, least_m),
         *_on_joint_steps(arm, track, paths, follows),
+        *_on_indexed_axes(arm, track, paths, follows),
         *_on_rows(rows_hold, on),
         *_on_rows_between(results, arm, track, scene, paths, between, on_path, follows),
     )
@@ -394,6 +396,21 @@ def _on_joint_steps(
             joint = int(excess[target].argmax())
             travelled = f"{travel[target, joint]:.6g} on the segment, more than the job allows"
             yield target, f"{arm.joints[joint]} travels {travelled}"
+
+
+def _on_indexed_axes(
+    arm: MujocoArm, track: Track, paths: JointPaths, follows: Bool[np.ndarray, "T"]
+) -> Iterator[tuple[int, str]]:
+    """Yield the targets of segments along the path on which an indexed axis moves at all."""
+    config = track.config
+    named = indexed_joints(config.robot.indexed, config.tree or config.robot.file)
+    joints = [j for j, name in enumerate(arm.joints) if name in named]
+    if not joints:
+        return
+    moved = (paths.a != paths.b)[:, joints] & follows[paths.target, None]
+    for target in np.unique(paths.target[moved.any(axis=1)]).tolist():
+        joint = joints[int(moved[paths.target == target].any(axis=0).argmax())]
+        yield target, f"{arm.joints[joint]} moves on the segment, but is an indexed axis"
 
 
 def _check_paths(

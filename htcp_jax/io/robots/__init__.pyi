@@ -2,7 +2,7 @@ from . import capsule_fit, close_fit
 from .attached import AttachedBody, attach
 from .chain import chain_of_file
 from .clear_share import CheckedArm, ClearShares, check_arm
-from .composed import read_model
+from .composed import indexed_joints, read_model
 from .fixed_joints import fix_joints
 from .frames import frame
 from .joint_limits import LIMIT_ROUNDING, RATES, JointLimits, read_joint_limits
@@ -43,6 +43,7 @@ __all__ = [
     "gp50",
     "import_robot",
     "import_tool",
+    "indexed_joints",
     "joint_name",
     "joints_in_file",
     "load_robot",

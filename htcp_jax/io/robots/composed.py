@@ -7,6 +7,7 @@ before its links' names: positioner.table. Joints keep their names.
 
 import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
@@ -58,6 +59,26 @@ def read_model(source: ModelSource) -> mujoco.MjSpec:
             a joint in another model.
     """
     return _compose(source) if isinstance(source, ComposedModel) else read_spec(source, contacts=True)
+
+
+def indexed_joints(named: Sequence[str], source: ModelSource) -> tuple[str, ...]:
+    """Return the names of the joints that stand still within each seam.
+
+    Args:
+        named: Names in `robot.indexed` of a job.
+        source: Its model, or the models that form its cell, of which some may be indexed.
+
+    Raises:
+        InputError: For a model that cannot be read.
+    """
+    models = source.models if isinstance(source, ComposedModel) else ()
+    more = (_joint_names(each.file) for each in models if each.indexed)
+    return tuple(dict.fromkeys(itertools.chain(named, *more)))
+
+
+@no_log()
+def _joint_names(file: Path) -> list[str]:
+    return [joint.name or f"joint{k}" for k, joint in enumerate(read_spec(file, contacts=True).joints, 1)]
 
 
 def _compose(cell: ComposedModel) -> mujoco.MjSpec:

@@ -59,18 +59,20 @@ class BeamSearchMethod(Method):
     title: str
     description: str
     smooth = True  # motions are smoothed unless the settings disable it
+    plans_indexed = True
 
     def warm_up(self, problem: Problem) -> WarmUp:
         """Return one call of each lane function; those that continue after dead ends are for hard targets."""
         one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
         inputs, x = problem.inputs(one, 0), problem.scenarios.x_start[one]
+        moving = problem.with_still_joints(inputs, one, zero)
         proof = prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
-        first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, inputs, x), proof]
-        smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, inputs, x)]
+        first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, moving, x), proof]
+        smooths = [] if problem.settings.smooth is False else [step_functions.settle_call(moving, x)]
         if not problem.checkers[0].executor.freedom:
             return WarmUp([*first, *smooths])
-        self_motion = SELF_MOTION, inputs, x, zero.astype(np.int32)
-        return WarmUp([*first, self_motion, *smooths], [(PUSH, inputs, x), (MOVE_TOWARDS, inputs, x, x)])
+        self_motion = SELF_MOTION, moving, x, zero.astype(np.int32)
+        return WarmUp([*first, self_motion, *smooths], [(PUSH, inputs, x), (MOVE_TOWARDS, moving, x, x)])
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
@@ -193,17 +195,19 @@ class BeamSearch:
         scenario, step = tables.gather((searches.columns.scenario, searches.columns.step), pending.search)
         x, before = self._tree.x[pending.node], self._tree.target[pending.node]
         target, zero = before + step, np.zeros_like(before)
+        segment = np.maximum(before, target)
         inputs = lane_inputs.lane_inputs(self._problem.scenarios, scenario, target, seed=self._problem.settings.seed)
         if self._joint_steps is not None:
-            left = self._joint_steps.left(self._tree, pending.node, scenario, np.maximum(before, target))
+            left = self._joint_steps.left(self._tree, pending.node, scenario, segment)
             inputs = inputs._replace(max_joint_step=left)
-        extended = self._extended(inputs, x, self._tree.clearance[pending.node])
+        lanes = self._problem.with_still_joints(inputs, scenario, segment)
+        extended = self._extended(lanes, x, self._tree.clearance[pending.node])
         good = self._checker.valid(inputs, extended.at)
         if inputs.max_joint_step is not None:
             good &= (np.abs(extended.at.x - x) <= inputs.max_joint_step).all(axis=1)
         proven = good.copy()
         if good.any():
-            segments, tube = inputs_and_tubes(self._problem, scenario, np.maximum(before, target), zero, False)
+            segments, tube = inputs_and_tubes(self._problem, scenario, segment, zero, False)
             a, b = _in_order_of_travel(step, x, extended.at.x)
             edges = self._checker.edges(*tables.gather((segments, a, b, tube), good))
             proven[good] = edges.verdict == SegmentStatus.VALID
@@ -233,7 +237,8 @@ class BeamSearch:
         scenario, draws, way = tables.gather((columns.scenario, columns.draws, columns.step), origins.search)
         target, x = self._tree.target[origins.node], self._tree.x[origins.node]
         inputs, tube = inputs_and_tubes(self._problem, scenario, target, draws, True)
-        moved = self._checker.executor(SELF_MOTION, inputs, x, motion_number.astype(np.int32))
+        lanes = self._problem.with_still_joints(inputs, scenario, target + 1)
+        moved = self._checker.executor(SELF_MOTION, lanes, x, motion_number.astype(np.int32))
         lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
         proven = np.zeros(moved.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at the end of each self-motion

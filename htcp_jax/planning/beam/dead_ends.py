@@ -422,7 +422,8 @@ class DeadEnds:
         columns.work[:] += np.bincount(search, minlength=len(columns.work))
         target, end = self._tree.target[row], self._tree.x[row]
         inputs, tube = inputs_and_tubes(self._problem, columns.scenario[search], target, np.zeros_like(target), True)
-        moved = self._checker.executor(MOVE_TOWARDS, inputs, begin, end)
+        lanes = self._problem.with_still_joints(inputs, columns.scenario[search], target + 1)
+        moved = self._checker.executor(MOVE_TOWARDS, lanes, begin, end)
         count = moved.steps + 1  # number of segments, including the one to the end
         lane, step = ragged_rows(count)
         x = np.concatenate([begin[:, None], moved.path.x, end[:, None]], axis=1)
@@ -431,6 +432,8 @@ class DeadEnds:
             tables.gather(inputs, lane), x[lane, step], x[lane, after], tables.gather(tube, lane), tip=False
         )
         bad = (np.bincount(lane, proof.verdict != SegmentStatus.VALID, len(row)) > 0) | ~moved.arrives
+        if lanes.still is not None:
+            bad |= (lanes.still & (begin != end)).any(axis=1)
         met = []
         for k in np.flatnonzero(~bad).tolist():
             between = jax.tree.map(lambda leaf, k=k: leaf[k, : moved.steps[k]], moved.path)

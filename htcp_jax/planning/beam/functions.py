@@ -51,7 +51,8 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
     Returns:
         A loop whose result is `Extension`.
     """
-    robot, task = scene.robot, scene.task
+    robot, task = step_functions.with_still_joints(scene, lane, x), scene.task
+    of_moving = partial(step_functions.of_moving_joints, lane)
     above = jnp.array([settings.beam_aim_m, settings.aim_above_m])
     lower, upper = step_functions.joint_box(scene, lane, x)
     aims, enough = lane.margin_m + above, lane.margin_m + ENOUGH * above
@@ -68,14 +69,14 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
         here, straight, aim, count = state
         rows, held = here.linear.clearance, task.linear(*here.linear.task, lane.target)
         qp = step_qp.assemble(
-            settings, here.x, x, held.error, held.jacobian,
-            rows.distance, rows.gradient, aims[aim], lower, upper, held.slack, held.gradient,
+            settings, here.x, x, held.error, of_moving(held.jacobian),
+            rows.distance, of_moving(rows.gradient), aims[aim], lower, upper, held.slack, of_moving(held.gradient),
         )  # fmt: skip
         found = solve_step(qp, settings.qp_tolerance, task.optional)
         stuck = (found.status != step_qp.QPStatus.SOLVED) | ((aim == 0) & (count > PATIENCE))
         # The first iteration measures the result of inverse kinematics, the second x, from which step QPs continue.
         goes_to = jnp.where(count < 0, straight, x)
-        y = jnp.where(stuck | (count < 1), goes_to - here.x, found.y)
+        y = jnp.where(stuck | (count < 1), goes_to - here.x, of_moving(found.y))
         return look(scene, lane, here.x, y), straight, jnp.where(stuck & (count > 0), aim + 1, aim), count + 1
 
     def extended(state) -> Extension:
@@ -105,7 +106,8 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
     Returns:
         A loop whose result is `SelfMotion`.
     """
-    robot, task = scene.robot, scene.task
+    robot, task = step_functions.with_still_joints(scene, lane, x), scene.task
+    of_moving = partial(step_functions.of_moving_joints, lane)
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, motion_number)
     towards, length = jax.random.split(key)
     longest = jax.random.randint(length, (), 1, settings.self_motion_steps + 1).astype(jnp.int32)
@@ -116,9 +118,9 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
 
     def step(_, state):
         _, x, direction, path, steps = state
-        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian, task.optional)
+        basis = null_basis(of_moving(task.linear_at(robot, x, lane.target).jacobian), task.optional)
         within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
-        direction = product(basis, within)
+        direction = of_moving(product(basis, within))
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
         there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
@@ -157,7 +159,8 @@ def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs,
     Returns:
         A loop whose result is `Reaching`.
     """
-    robot, task, length = scene.robot, scene.task, settings.self_motion_step_rad
+    robot, task = step_functions.with_still_joints(scene, lane, x), scene.task
+    length, of_moving = settings.self_motion_step_rad, partial(step_functions.of_moving_joints, lane)
 
     def going(state):
         good, x, _, steps = state
@@ -165,8 +168,8 @@ def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs,
 
     def step(_, state):
         _, x, path, steps = state
-        basis = null_basis(task.linear_at(robot, x, lane.target).jacobian, task.optional)
-        direction = product(basis, product(end - x, basis))
+        basis = null_basis(of_moving(task.linear_at(robot, x, lane.target).jacobian), task.optional)
+        direction = of_moving(product(basis, product(end - x, basis)))
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
         there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
