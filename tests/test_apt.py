@@ -110,7 +110,7 @@ def test_the_tool_axis_holds_until_it_changes_and_begins_with_z(tmp_path):
 
 
 def test_a_wrong_unit_in_a_file_is_named_with_the_right_one(tmp_path):
-    (tmp_path / "weld.apt").write_text("UNITS/INCHES\nRAPID\nGOTO/0,0,0\nGOTO/300,0,0\nGOTO/300,300,0\nFINI\n")
+    (tmp_path / "weld.apt").write_text("UNITS/INCHES\nRAPID\nGOTO/0,0,0,0,0,1\nGOTO/300,0,0\nGOTO/300,300,0\nFINI\n")
     cube = 0.3 * np.random.default_rng(0).random((400, 3))
     said = "it was read as inches, but seems to be in millimetres; set workpiece.path_unit: mm$"
     with pytest.raises(InputError, match=said):
@@ -153,16 +153,20 @@ def test_feeds_are_read_with_their_units(feed, mm_s, tmp_path):
 
 def test_contours_become_seams_with_their_direction_and_the_feed_of_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "part.apt").write_text(START + "GOTO/1,0,0\nRAPID\nGOTO/5,0,0\nFEDRAT/60,MMPM\nGOTO/6,0,0\nFINI\n")
+    two = "GOTO/1,0,0,0,0,1\nRAPID\nGOTO/5,0,0\nFEDRAT/60,MMPM\nGOTO/6,0,0\nFINI\n"
+    (tmp_path / "part.apt").write_text(START + two)
     given = ["workpiece.path=part.apt", "workpiece.cloud=none"]
     job = with_seams(load_config(None, given))
     assert [(seam.name, seam.rows, seam.direction, seam.feed) for seam in job.workpiece.seams] == [
         ("1", (0, 2), "forward", "10mm/s"), ("2", (2, 2), "forward", "1mm/s"),
     ]  # fmt: skip
     assert points_of_seams(job.workpiece).begins == (2,)
+    own = "{name: a, path: part.apt, rows: [2, 2]}, {name: b, path: part.apt, rows: [0, 2], direction: either}"
+    listed = with_seams(load_config(None, ["workpiece.cloud=none", f"seams=[{own}]"]))
+    assert [seam.direction for seam in listed.workpiece.seams] == ["forward", "either"]
     stated = with_seams(load_config(None, [*given, "program.feed=3mm/s"]))
     assert [seam.feed for seam in stated.workpiece.seams] == [None, None]
-    (tmp_path / "part.apt").write_text(START + "GOTO/1,0,0\nFINI\n")
+    (tmp_path / "part.apt").write_text(START + "GOTO/1,0,0,0,0,1\nFINI\n")
     assert with_seams(load_config(None, given)).program.feed == "10mm/s"  # of the only contour
 
 
@@ -187,7 +191,7 @@ def test_what_is_not_used_is_named(tmp_path):
         "not used: LOADTL",
         "its frame (MSYS, CSYS, CATIA0) is not applied",
         "2 tools",
-        "several feeds, the first one 1, 1.5 mm/s",
+        "several feeds along the contour without a name, such as 1, 1.5 mm/s",
     ):
         assert said in notes
 

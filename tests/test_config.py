@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.spec.config import PlanConfig
+from htcp_jax.spec.config_file import merged
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 SWEEPS = Path(__file__).parents[1] / "sweeps"
@@ -120,3 +121,17 @@ def test_no_value_of_a_section_is_a_traceback(value):
             load_config(None, [f"{key}={yaml.safe_dump(value)}"])
         except InputError:
             pass
+
+
+def test_outputs_of_a_process_replace_earlier_ones_and_are_switched_back():
+    first, other = (
+        "program.process={on: {5: true}, off: {5: false}}",
+        "program.process={on: {7: true}, off: {7: false}}",
+    )
+    process = load_config(None, [first, other]).program.process
+    assert (process.on, process.off) == (((7, True),), ((7, False),))
+    saved = load_config(None, [first]).model_dump(mode="json")
+    again = PlanConfig.model_validate(merged([saved, {"program": {"process": {"on": {5: False}, "off": {5: True}}}}]))
+    assert (again.program.process.on, again.program.process.off) == (((5, False),), ((5, True),))
+    with pytest.raises(InputError, match=r"process\.on sets 5, but process\.off does not; state its value in both"):
+        load_config(None, ["program.process={on: {5: true}}"])

@@ -75,7 +75,8 @@ def test_speeds_are_percents_of_the_full_speeds_with_a_factor_for_each_move():
     text = program_text("krl", weld(), controller(hinged(), speed=SPEED))
     velocity = [int(v) for v in re.findall(r"\$VEL_AXIS\[1\]=(\d+)", text)]
     factor = [int(v) for v in re.findall(r"\$RED_VEL=(\d+)", text)]
-    assert velocity == [5, 2], "slowly to the first configuration; then 0.04 of 2 rad/s, which is 2 percent"
+    said = "slowly to the first configuration; then 0.04 of 2 rad/s, which is 2 percent; full speed for other programs"
+    assert velocity == [5, 2, 100], said
     assert factor == [100, 100]
     slow = weld()._replace(time_s=10.0 * np.arange(5.0))
     assert "$VEL_AXIS[6]=1\r\n$RED_VEL=20" in program_text("krl", slow, controller(hinged(), speed=SPEED))

@@ -180,6 +180,9 @@ def program(
     if proof.is_refuted:
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED
+    if made.job.program.process is not None and (stops := made.stops_within_seams):
+        where = "within a seam, with the outputs of program.process on; see stop in the table"
+        warnings.warn(f"the arm stops {stops} times {where}: corners there have no room in the task", stacklevel=1)
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
     facts = program_facts.near_part(made.job)
     facts["torque"] = program_facts.torque_text(torque)

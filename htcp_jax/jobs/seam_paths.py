@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -49,9 +49,10 @@ def _with_seams_of_files(part: WorkpieceConfig) -> WorkpieceConfig:
         found = read(part.path).seams if is_file(part, part.path) else ()
         if len(found) < 2:
             return part
-        # a CAM system's contours have a direction
-        way = {"direction": "forward"} if parts.has_feeds(Path(part.path)) else {}
-        seams = [SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count), **way) for each in found]
+        way = _direction_of(part.path)
+        seams = [
+            SeamConfig(name=each.label, path=part.path, rows=(each.first, each.count), direction=way) for each in found
+        ]
         check_seams(seams)
         return part.model_copy(update={"path": SEVERAL, "seams": tuple(seams)})
     split = {seam.name: _split(seam, _points_of(seam, read)) for seam in part.seams}
@@ -143,6 +144,11 @@ def _points_of(seam: SeamConfig, read: Callable[[str], parts.PathPoints]) -> par
         raise InputError(f"seam {seam.name!r}: {error}") from None
 
 
+def _direction_of(path: str) -> Literal["either", "forward"]:
+    """Return the direction of travel of a file's seams: contours of a CAM system have one."""
+    return "forward" if parts.has_feeds(Path(path)) else "either"
+
+
 def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:
     """Return an entry for each seam in the rows of one entry."""
     count = len(points.xyz)
@@ -164,8 +170,9 @@ def _split(seam: SeamConfig, points: parts.PathPoints) -> list[SeamConfig]:
         rows = [row for _, (first, own) in ranges for row in range(first, first + own)]
         ranges = [(f"{seam.name} {k + 1}", (row, 1)) for k, row in enumerate(rows)]
     whole = len(ranges) == 1 and seam.rows is None and not seam.closed
+    way = seam.direction or ("either" if seam.points else _direction_of(seam.path))
     return [
-        seam.model_copy(update={"name": name, "rows": None if whole else rows, "points": False})
+        seam.model_copy(update={"name": name, "rows": None if whole else rows, "points": False, "direction": way})
         for name, rows in ranges
     ]
 

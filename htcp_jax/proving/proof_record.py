@@ -123,7 +123,11 @@ def headline(found: FileProof) -> str:
         k = decisive_segment(found)
         assert k is not None
         pair = "" if (near := found.contacts.get(k)) is None else f": {near.body} next to {near.other}"
-        return f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
+        text = f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
+        off = found.deviation
+        if off is None or off.distance_m <= off.tolerance_m:
+            return text
+        return f"{text}; but the TCP is {_mm(off.distance_m)} off the path ({_mm(off.tolerance_m)} allowed)"
     group = unproven_groups(found)[0]
     if group.deepest is None:
         return f"{found.verdict}: {lines_of(found, group.first, group.last)}"

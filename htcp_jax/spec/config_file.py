@@ -56,6 +56,9 @@ def layers_of(mapping: Mapping[str, Any], name: str) -> list[tuple[str, dict]]:
     return _below(raw, name, Path(), [])
 
 
+WHOLE = "on", "off"  # mappings that replace earlier ones: the outputs in `program.process`
+
+
 def merged(raws: Iterable[dict]) -> dict:
     """Return the mapping that combines all mappings; later ones take precedence."""
     combined: dict = {}
@@ -188,7 +191,7 @@ def _anchor_files(raw: dict, folder: Path) -> None:
 
 def _lay_over(combined: dict, raw: dict) -> None:
     for key, value in raw.items():
-        if isinstance(value, dict) and isinstance(combined.get(key), dict):
+        if key not in WHOLE and isinstance(value, dict) and isinstance(combined.get(key), dict):
             _lay_over(combined[key], value)
         else:
             combined[key] = _copy(value)

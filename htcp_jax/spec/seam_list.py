@@ -29,7 +29,8 @@ class SeamConfig(strict_model.FileSection):
     name: SeamName
     path: str = Field(min_length=1)  # a seam of the generated duct, or a CSV file of x,y,z
     rows: tuple[Row, Row] | None = None  # first row of the path, counted from 0, and number of rows; None: all
-    direction: Direction = "either"  # direction of travel; backward: from the last row to the first
+    # direction of travel; backward: from the last row to the first; None: forward in a CAM system's file, else either
+    direction: Direction | None = None
     closed: bool = False  # True: a closed curve, which may begin at any of its rows
     begins_at: Row | None = None  # row of a closed seam, counted from 0, at which it begins and ends; None: any
     points: bool = False  # True: each row is a seam of one target, such as a hole or a spot
@@ -40,7 +41,7 @@ class SeamConfig(strict_model.FileSection):
 
     @model_validator(mode="after")
     def _is_one_kind(self) -> "SeamConfig":
-        if self.points and (self.closed or self.direction != "either"):
+        if self.points and (self.closed or self.direction not in (None, "either")):
             key = "closed" if self.closed else "direction"
             raise InputError(f"seam {self.name!r} has points: true; its key {key} would have no effect, omit it")
         if self.begins_at is not None and not self.closed:

@@ -71,7 +71,7 @@ class ToolAxisRow(BuiltInRow):
             least, most = self._limits(name)
             if isinstance(value, tuple) and not lower < upper:
                 way = f"write {lower:g}" if lower == upper else "the first angle must be less"
-                if name == "spin_deg" and upper < lower < upper + 360:
+                if name == "spin_deg" and upper + 180 <= lower < upper + 360:
                     way = f"for a range across 180 write [{lower:g}, {upper + 360:g}]"
                 raise InputError(f"{name} is the empty range {lower:g} to {upper:g}; {way}")
             if not least <= lower <= upper <= most:

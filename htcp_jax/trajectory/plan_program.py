@@ -73,6 +73,13 @@ class PlanProgram(NamedTuple):
         task = build.task_of_job(self.job, self.robot)
         return manipulability.manipulability(self.robot, task, self.x, self.goals)
 
+    @property
+    def stops_within_seams(self) -> int:
+        """Number of stops on the path, other than at the ends of seams."""
+        counts = np.diff([0, *self.seam_begins, len(self.x)])
+        pieces = sum(blend.on_process for blend in self.program.blends)
+        return max(0, pieces - int((counts > 1).sum()))
+
     def text(self, format: str, name: str, step_s: float | None = None, max_points: int | None = None) -> str:
         """Return the text of the program's file.
 

@@ -323,14 +323,17 @@ class _Reader:
             notes.append(f"records that are not used: {', '.join(sorted(self.unused))}")
         if self.frames and any(not _is_identity(frame) for frame in self.frames):
             notes.append("its frame (MSYS, CSYS, CATIA0) is not applied: points are used as written")
+        if all(axis is None for each in contours for axis in each.axes):
+            notes.append("it has no tool axis (i,j,k): normals are those of the part")
         if len(self.tools) > 1:
             notes.append(f"{len(self.tools)} tools are loaded, but all seams are planned with the job's tool")
         if several := [each for each in contours if len({*each.feeds}) > 1]:
             feeds = ", ".join(
                 "unknown" if feed is None else f"{1e3 * feed:.6g}" for feed in dict.fromkeys(several[0].feeds)
             )
-            what = f"{len(several)} contours have several feeds, the first one {feeds} mm/s"
-            notes.append(f"{what}, which are not used; set program.feed")
+            names = ", ".join(each.operation or "without a name" for each in several[:3])
+            count = f"{len(several)} contours ({names})" if several[1:] else f"the contour {names}"
+            notes.append(f"several feeds along {count}, such as {feeds} mm/s, are not used; set program.feed")
         for note in notes:
             warnings.warn(f"{self.path}: {note}", Note, stacklevel=6)
 

@@ -58,7 +58,8 @@ def krl_text(timed: TimedMotion, controller: ControllerData) -> str:
     outputs, stated = bool(controller.rows_with_outputs), (*_speed_sentences(timed, controller), CHECK_AXES)
     for sentence in header(timed, *MORE, *stated, *tcp_sentences(controller, "$TOOL", "ABC"), outputs=outputs):
         lines += [f"; {line}" for line in textwrap.wrap(comment(sentence), WIDTH)]
-    lines += ["BAS(#INITMOV,0)", f"$TOOL={tool}", "$BASE=$NULLFRAME", *_moves(timed, controller), "$RED_VEL=100", "END"]
+    lines += ["BAS(#INITMOV,0)", f"$TOOL={tool}", "$BASE=$NULLFRAME", *_moves(timed, controller)]
+    lines += [*_velocities(100, controller), "$RED_VEL=100", "END"]
     return "\r\n".join(lines) + "\r\n"
 
 
@@ -87,8 +88,7 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
             yield f"; {sections[row]}"
         now = int(velocity[row]), int(factor[row]), last[2] if exact[row] else int(corner[row])
         if now[0] != last[0]:
-            yield from (f"$VEL_AXIS[{k + 1}]={now[0]}" for k in range(ROBOT_AXES))
-            yield from (f"$VEL_EXTAX[{k + 1}]={now[0]}" for k in range(len(controller.joint_groups.external)))
+            yield from _velocities(now[0], controller)
         if now[1] != last[1]:
             yield f"$RED_VEL={now[1]}"
         if now[2] != last[2]:
@@ -98,6 +98,11 @@ def _moves(timed: TimedMotion, controller: ControllerData) -> Iterator[str]:
         if row in begins:
             yield f"; seam {comment(begins[row])}"
         yield from _outputs(controller, row)
+
+
+def _velocities(percent: int, controller: ControllerData) -> Iterator[str]:
+    yield from (f"$VEL_AXIS[{k + 1}]={percent}" for k in range(ROBOT_AXES))
+    yield from (f"$VEL_EXTAX[{k + 1}]={percent}" for k in range(len(controller.joint_groups.external)))
 
 
 def _outputs(controller: ControllerData, row: int) -> Iterator[str]:
