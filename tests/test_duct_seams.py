@@ -131,7 +131,7 @@ def test_scenarios_of_one_batch_have_their_own_seams():
 
 
 def test_the_page_s_table_is_the_one_that_the_beads_are_made_from():
-    rows = [line.split("|") for line in (ROOT / "docs" / "bring-a-scan.md").read_text().splitlines()]
+    rows = [line.split("|") for line in (ROOT / "docs" / "paths.md").read_text().splitlines()]
     reported = {row[1].strip(" `"): [cell.strip() for cell in row[2:5]] for row in rows if row[1:] and "`" in row[1]}
     for name, bead in BEADS.items():
         spans = [" to ".join(f"{v:g}" for v in dict.fromkeys(pair)) for pair in (bead.x_m, bead.angle_deg)]

@@ -14,7 +14,7 @@ from htcp_jax.trajectory.formats.parts import split
 from htcp_jax.trajectory.formats.writers import program_files, program_text
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
-PAGE = (Path(__file__).parents[1] / "docs" / "program.md").read_text()
+PAGE = (Path(__file__).parents[1] / "docs" / "program-formats.md").read_text()
 
 
 def long_motion(rows: int, joints: int = 6) -> TimedMotion:

@@ -1,6 +1,6 @@
 """Orientations from the three angles of robot makers.
 
-Sources, compared in docs/bring-a-scan.md: the pose formats in the documentation of Basler's rc_visard (KUKA, FANUC,
+Sources, compared in docs/paths.md: the pose formats in the documentation of Basler's rc_visard (KUKA, FANUC,
 Kawasaki, Mitsubishi, Yaskawa), of Vathos (ABB, Doosan, Universal Robots) and of Mech-Mind (Comau, DENSO, Staubli); REP
 103 of ROS.
 """
