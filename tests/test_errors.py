@@ -6,15 +6,20 @@ The slow version with 10,000 draws in each of 20 sets is `python -m benchmarks e
 import json
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import test_prove
 import toy
 
 from benchmarks import errors as draws
+from htcp_jax.clearance.obstacles import placed_cloud
 from htcp_jax.clearance.proof import error_pairs
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
+from htcp_jax.io.robots import load_robot
+from htcp_jax.model import body_pieces, kinematics, make_piece
 from htcp_jax.proving import error_scale, error_set, scale_text, scene_of, straight
 from htcp_jax.proving.scaled_errors import ErrorScale, scene_with
 from htcp_jax.proving.stated_errors import read_errors
@@ -179,3 +184,30 @@ def test_an_end_in_front_of_the_interior_may_be_displaced_up_to_the_interior_or_
         limits = error_pairs.limits_at(known, known.places(x, 0 * x, 0 * x, 0 * x), 0.0, 16.0)
         found[number] = float(limits.scale.min(initial=16.0))
     assert found[0] == min(found[1], found[2]) and 0 < found[2] < 16
+
+
+def test_a_piece_that_turns_about_its_capsules_axis_is_bounded_at_its_corners(tmp_path):
+    axes = "0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"
+    bodies = "".join(
+        f'<body pos="{0.3 if k else 0} 0 0"><joint name="j{k}" axis="{axis}" range="-3 3"/>'
+        '<geom type="capsule" fromto="0 0 0 .25 0 0" size=".1"/>'
+        for k, axis in enumerate(axes)
+    )
+    text = f'<mujoco><worldbody>{bodies}<site name="tcp" pos=".5 0 0"/>{"</body>" * 6}</worldbody></mujoco>'
+    (tmp_path / "arm.xml").write_text(text)
+    robot = load_robot(tmp_path / "arm.xml")
+    bar, plate = (
+        np.array([[x, y, z] for x in (0, 0.25) for y in (-w, w) for z in (-h, h)])
+        for w, h in ((0.05, 0.05), (0.09, 0.005))
+    )
+    pieces = body_pieces([*[make_piece(bar)] * 5, make_piece(plate)], np.full(6, 0.1))
+    robot = replace(robot, pieces=jax.tree.map(jnp.asarray, pieces))
+    x = np.array([0.2, -0.5, 0.7, 0.0, 0.4, 0.0])
+    T = np.asarray(kinematics.link_poses(robot, jnp.asarray(x)))[5]
+    above = T[:3, :3] @ [0.2, 0.08, 0.02] + T[:3, 3]  # 15 mm above the plate, 80 mm from the axis on which it turns
+    cloud = placed_cloud(robot, above[None], np.empty((0, 3, 3)), np.eye(4), "p", "p")
+    problem = scene_of(robot, obstacles=[cloud]).problem
+    errors = error_set(problem, None, read_errors({"joints_rad": [0, 0, 0, 0, 0, 0.01]}))
+    found = error_scale(problem, straight(np.stack([x, x + 1e-3 * np.eye(6)[5]])), errors)
+    touches_rad = next(a for a in np.linspace(0, 0.4, 4001) if 0.08 * np.sin(a) + 0.005 * np.cos(a) >= 0.02)
+    assert not found.is_more and 0.5 * touches_rad < 0.01 * found.scale < touches_rad

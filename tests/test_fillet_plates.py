@@ -61,6 +61,13 @@ def test_the_plates_of_a_rib_are_found_from_end_to_end_in_any_pose_and_order_of_
     np.testing.assert_allclose(found.normals, np.tile(half, (9, 1)), atol=1e-12)
 
 
+@pytest.mark.parametrize("within_m", [0.005, 0.008, 0.01, 0.015])
+def test_the_side_of_thin_plates_that_is_next_to_the_path_is_found(within_m):
+    base = box((-0.05, -0.1, -0.006), (0.25, 0.1, 0.0))
+    found = with_plates(part(np.concatenate([base, tee()[12:]]), SEAM), within_m, UP).frames.plates
+    np.testing.assert_allclose(found, np.tile([UP, [0, 1.0, 0]], (9, 1, 1)), atol=1e-12)
+
+
 def test_plate_1_faces_the_given_direction_whatever_the_direction_of_travel():
     forward = with_plates(part(tee(), SEAM), 0.01, np.array([0.0, 1.0, 0.2]))
     backward = with_plates(part(tee(), SEAM[::-1].copy()), 0.01, np.array([0.0, 1.0, 0.2]))

@@ -100,7 +100,7 @@ def inside(planned, spread_rad: float, count: int) -> np.ndarray:
 def test_a_run_validates(real, capsys):
     assert main(["validate", str(real)]) == 0
     printed = capsys.readouterr().out
-    assert "validated" in printed and "smallest clearance" in printed and "Deepest overlap" not in printed
+    assert "validated" in printed and "minimum clearance" in printed and "Deepest overlap" not in printed
     assert len(printed.splitlines()) <= 8
     found = json.loads((real / VALIDATION).read_text())
     one = found["methods"]["baseline"]

@@ -56,7 +56,11 @@ class Heartbeat:
 
         def beat() -> None:
             while not ended.wait(max(0.05, self.wait_s(LINE_S))):
-                if not self.wait_s(LINE_S) and not any(is_shown() for is_shown in self._bars):
+                if self.wait_s(LINE_S):
+                    continue
+                if any(is_shown() for is_shown in self._bars):
+                    self._last_s = time.monotonic()
+                else:
                     self.print(f"{name}: at work {timedelta(seconds=int(time.monotonic() - began))}")
 
         threading.Thread(target=beat, daemon=True).start()

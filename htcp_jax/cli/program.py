@@ -181,8 +181,9 @@ def program(
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED
     if made.job.program.process is not None and (stops := made.stops_within_seams):
-        where = "within a seam, with the outputs of program.process on; see stop in the table"
-        warnings.warn(f"the arm stops {stops} times {where}: corners there have no room in the task", stacklevel=1)
+        why = "the task leaves no slack to round these corners; see stop in the table"
+        what = f"the arm stops within a seam ({stops} stops), and the outputs of program.process stay on"
+        warnings.warn(f"{what}: {why}", stacklevel=1)
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
     facts = program_facts.near_part(made.job)
     facts["torque"] = program_facts.torque_text(torque)

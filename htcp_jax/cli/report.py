@@ -40,6 +40,8 @@ def report(runs: Runs, out: Out = Path("out/report"), feed: Feed = None, as_json
       htcp plan
       htcp report out/plan --feed 20mm/s --out out/plan-report   one plan
     """
+    for folder in runs:
+        _check_kind(folder)
     if any(map(_is_plan, runs)):
         return _report_plan(runs, out, feed, as_json)
     if feed is not None:
@@ -63,6 +65,11 @@ def report(runs: Runs, out: Out = Path("out/report"), feed: Feed = None, as_json
         console.print()
     console.print(Text.assemble(("report  ", "cyan"), str(out / "report.html")))
     return 0
+
+
+def _check_kind(folder: Path) -> None:
+    if folder.is_dir() and not any((folder / name).exists() for name in (plan_folder.SUMMARY, manifest.MANIFEST)):
+        raise InputError(f"{folder} contains neither a run ({manifest.MANIFEST}) nor a plan ({plan_folder.SUMMARY})")
 
 
 def _is_plan(folder: Path) -> bool:

@@ -16,7 +16,7 @@ from htcp_jax.io import robots
 from htcp_jax.spec import tool as tools
 from htcp_jax.system import output_files
 
-FILE_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # of a mesh, in metres
+FILE_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # of a mesh [m]
 
 JOBS = ".yaml", ".yml"
 
@@ -89,9 +89,9 @@ def tool(
     The tip is on the path, and all bodies must have the clearance margin_m. So the mesh must end before the TCP: delete
     the wire from it.
 
-    With a job, --set is the only option. At each target the tool alone, without the arm, is turned through the angles
-    that the task allows. Prints where it clears the part's cloud or mesh by margin_m, the smallest clearance, and how
-    it changes if the wire is longer, that is, if the TCP is farther out of the nozzle.
+    With a job, only --set and --json apply. At each target the tool alone, without the arm, is turned through the
+    angles that the task allows. Prints where it clears the part's cloud or mesh by margin_m, the minimum clearance, and
+    how it changes if the wire is longer, that is, if the TCP is farther out of the nozzle.
 
     Exit codes: 0, 2 on bad input or if TOOL.xml exists, 3 if the tool does not clear the part at every target.
 
@@ -105,9 +105,12 @@ def tool(
     if file.suffix.lower() in JOBS:
         given = {"--tip": tip, "--out": out, "--unit": unit, "--direction": direction, "--rpy": rpy}
         given |= {"--quaternion": quaternion, "--stickout": stickout, "--most": most, "--fit-tolerance": fit_tolerance}
+        given |= {"--replace": replace or None}
         if names := [name for name, value in given.items() if value is not None]:
             raise InputError(f"{names[0]} applies to a mesh; {file} is a job, whose own tool is checked")
         return tool_check.check_job(file, overrides or (), as_json)
+    if not file.suffix:
+        raise InputError(f"{file} is neither a mesh, such as torch.stl, nor a job, such as job.yaml")
     if overrides:
         raise InputError(f"--set applies to a job, whose file ends in {' or '.join(JOBS)}; this is {file}")
     if tip is None or out is None:
@@ -118,7 +121,7 @@ def tool(
         raise InputError(f"--unit {unit}: valid are {', '.join(FILE_UNITS)}")
     T_mesh_tcp = _tcp(tip, unit or "m", direction, rpy, quaternion)
     if stickout is not None:
-        T_mesh_tcp[:3, 3] += quantity("--stickout", stickout, LENGTHS, "12mm") * T_mesh_tcp[:3, 2]
+        T_mesh_tcp[:3, 3] += quantity("--stickout", stickout, LENGTHS | FILE_UNITS, "12mm") * T_mesh_tcp[:3, 2]
     with progress_bar("capsules"):
         made = robots.import_tool(file, T_mesh_tcp, unit, most=most, tolerance_m=tolerance_m)
     from htcp_jax.viewer import draw_arm  # here, after checks of the input, as the import is slow
@@ -164,6 +167,8 @@ def _tcp(
         raise InputError(f"{both[0]} and {both[1]} both state the orientation; give one of them")
     if rpy is not None:
         angles = vector("--rpy", rpy, ANGLES, "rad", 3, "0,45,0deg")
+        if np.abs(angles).max() > 2 * np.pi:
+            raise InputError(f"--rpy {rpy}: above 6.28 rad; did you mean {rpy}deg?")
         return tools.pose(tuple(position), tuple(angles))
     if quaternion is not None:
         return robots.frame(position, _unit("--quaternion", quaternion, 4, "0.92,0,0.38,0"))

@@ -64,9 +64,9 @@ def _facts(found: ToolClearance) -> dict[str, str]:
     if np.isfinite(found.clearance_m[0, k]):
         body = found.names[found.body[0, k]]
         least = f"{1e3 * found.clearance_m[0, k]:.2f} mm at target {found.target[k]}, by {body}; {required}"
-        facts["least clearance"] = least
+        facts["minimum clearance"] = least
     else:
-        facts["least clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
+        facts["minimum clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
     facts["longer wire"] = _longer_text(found)
     if found.ignored:
         rows = ", ".join(f"task.{number}" for number in found.ignored)
@@ -82,8 +82,9 @@ def _longer_text(found: ToolClearance) -> str:
     k = int(rows[0]) if len(rows) else int(found.clear.sum(axis=1).argmax())
     if not k:
         return f"up to {LONGER_MM[-1]} mm more would not help"
-    where = "at every target" if complete[k] else f"at {found.clear[k].sum()} targets, and not at more"
-    least = 1e3 * found.clearance_m[k].min()
+    count, clear = len(found.target), found.clear[k]
+    where = "at every target" if complete[k] else f"at {clear.sum()} of {count} targets, the most of the lengths tried"
+    least = 1e3 * found.clearance_m[k][clear].min()
     return f"{LONGER_MM[k]} mm more would clear the part {where}, by {least:.2f} mm or more"
 
 

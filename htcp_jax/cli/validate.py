@@ -97,7 +97,7 @@ def _print_validation(run: Path, found: Validation, verbose: bool) -> None:
             console.print()
         lines = (*validation.scenarios_named(recorded, labels), *validation.notes(recorded))
     else:
-        print_facts(run.name, validation.plain_lines(recorded, is_sweep))
+        print_facts(run.resolve().name, validation.plain_lines(recorded, is_sweep))
     for line in lines:
         console.print(Text(line, style="dim"))
     for one in found.refuted[:LISTED]:

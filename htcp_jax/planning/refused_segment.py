@@ -68,7 +68,7 @@ _VERDICTS = {  # about one segment, and about several
     SegmentStatus.IN_COLLISION: ("collides", "collide"),
     SegmentStatus.BELOW_MARGIN: ("comes nearer than the margin", "come nearer than the margin"),
     SegmentStatus.OFF_PATH: ("leaves the path", "leave the path"),
-    SegmentStatus.REVERSES: ("leaves the path", "move the tool backwards"),
+    SegmentStatus.REVERSES: ("moves the tool backwards", "move the tool backwards"),
     SegmentStatus.UNDECIDED: ("is neither proven nor refuted", "are neither proven nor refuted"),
 }
 
@@ -76,7 +76,9 @@ _VERDICTS = {  # about one segment, and about several
 def refused_segment(
     problem: Problem, x_last: Float[np.ndarray, "N"], target: int, x_goal: Float[np.ndarray, "N"]
 ) -> RefusedSegment | None:
-    """Return the path to a lost target that violates the least; None if no path was found that reaches the target.
+    """Return the path to a lost target that violates the least; None if no path that reaches it was found.
+
+    None also for a robot with indexed axes.
 
     Args:
         problem: The problem; its first scenario is measured.
@@ -84,6 +86,8 @@ def refused_segment(
         target: The lost target.
         x_goal: A configuration at the target, which may collide [rad or m].
     """
+    if problem.robot.indexed:  # its axes stand still in the search, which is not repeated here
+        return None
     checker, task = problem.checkers[0], problem.task
     a = _beginnings(problem, checker, x_last, target)
     zero = np.zeros(len(a), int)

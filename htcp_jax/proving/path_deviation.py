@@ -4,7 +4,7 @@ All figures are measured at sampled places of the segments: both ends, and BETWE
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -165,7 +165,7 @@ def path_deviation(
         _row_deviations(problem, path, sampled, place, segment, rows),
         len(path.singles),
         visits.missed,
-        _indexed_travel(problem, path, curves, x, on, kind is not None) if problem.robot.indexed else (),
+        _indexed_travel(problem, path, curves, x, on, _says_process(kind)) if problem.robot.indexed else (),
     )
 
 
@@ -194,7 +194,13 @@ def _indexed_travel(
     begins = on & ~np.append(False, on[:-1])
     if not is_known:
         place = _nearest(path, tcp_positions(problem, x))[1]
-        on = on & (np.abs(np.diff(place)) > PROGRESS)
+        along = np.flatnonzero(on & (np.abs(np.diff(place)) > PROGRESS))
+        seam = np.cumsum(begins)
+        first, last = (np.full(seam[-1] + 1, k) for k in (len(on), -1))
+        np.minimum.at(first, seam[along], along)
+        np.maximum.at(last, seam[along], along)
+        row = np.arange(len(on))
+        on = on & (row >= first[seam]) & (row <= last[seam])
     here, found = np.flatnonzero(on[curves.segment]), []
     travel = np.abs(curves.coefficients[here, 1:]).sum(axis=1)
     travel[begins[curves.segment[here], None] & (travel <= ARRIVAL)] = 0.0
@@ -266,13 +272,17 @@ def _path(problem: Problem) -> _Path | None:
     return path if path.along[-1] > 0 or len(path.singles) else None
 
 
+def _says_process(kind: tuple[str, ...] | None) -> TypeGuard[tuple[str, ...]]:
+    """Return True if the file has rows on the path by their kind."""
+    return kind is not None and any(name.lower() in PROCESS for name in kind[1:])
+
+
 def _process(
     problem: Problem, path: _Path, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None, near_m: float
 ) -> Bool[np.ndarray, "m"]:
     """Return True for the segments on the path."""
-    on_path = () if kind is None else [name.lower() in PROCESS for name in kind[1:]]
-    if any(on_path):
-        return np.array(on_path)
+    if _says_process(kind):
+        return np.array([name.lower() in PROCESS for name in kind[1:]])
     seam = path.seams_of(*_nearest(path, tcp_positions(problem, x)), near_m)
     return (seam[:-1] >= 0) & (seam[:-1] == seam[1:])
 

@@ -37,6 +37,7 @@ class ErrorScale(NamedTuple):
     body: int | None  # index of the capsule that decides
     obstacle: int | None  # number of the obstacle
     intervals: int  # number of bounded intervals
+    slides: bool = False  # True: some joints slide, so that errors of joints are in rad or m
 
 
 class _Open(NamedTuple):
@@ -106,12 +107,13 @@ def error_scale(
     decides = row >= 0 and body >= 0
     return ErrorScale(
         float(low) if low > EMPTY else 0.0,
-        bool(low >= TRIED[-1]),
+        bool(best >= TRIED[-1]),
         int(curves.segment[row]) if decides else None,
         float(begin + place * (end - begin)),
         body if decides else None,
         obstacle if decides else None,
         done,
+        any(scene.robot.sliding),
     )
 
 

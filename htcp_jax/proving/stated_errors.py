@@ -129,7 +129,8 @@ def scale_text(errors: ErrorsConfig, found: ErrorScale | None) -> str:
         *_displacement("the tool", None if errors.tool is None else (errors.tool.shift_m, errors.tool.turn_rad), scale),
     ]
     if any(errors.joints_rad or ()):
-        parts.append(f"each joint off by up to {_sizes(errors.joints_rad, scale, math.degrees(1), 'degrees')}")
+        unit = (1.0, "rad, slides in m") if found.slides else (math.degrees(1), "degrees")
+        parts.append(f"each joint off by up to {_sizes(errors.joints_rad, scale, *unit)}")
     if errors.cloud_m:
         parts.append(f"each point of the part off by up to {_sizes((errors.cloud_m,), scale, 1e3, 'mm')}")
     times = f"{'at least ' if found.is_more else ''}{scale:g} times the errors stated"

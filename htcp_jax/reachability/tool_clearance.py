@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import Executor, lane_function, tables
+from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, reanchor
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import lane_inputs
@@ -144,6 +145,9 @@ def free_tool(robot: Robot) -> Robot:
     If it is lengthened, its TCP moves and its bodies do not.
     """
     kept = np.flatnonzero(np.array(robot.capsule_link, int) == robot.tcp_link)
+    if not kept.size:
+        remedy = "state bodies in robot.tool, or mount a tool: {model: torch.xml}"
+        raise InputError(f"{robot.name} has no body on the link of the TCP; {remedy}")
     endless = jnp.full(len(JOINTS), jnp.inf)
     bodies = {name: getattr(robot, name)[kept] for name in ("capsule_p", "capsule_q", "capsule_radius")}
     return Robot(

@@ -31,7 +31,13 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
     settings, between = job.settings, "and between them" if job.margin_on == "segments" else "only"
     seams = {f"margin on {each.name}": f"{1e3 * each.margin_m:g} mm" for each in job.workpiece.seams if each.margin_m}
     tool, arm = job.robot.tool, job.tree or job.robot.file or "the built-in GP50"
-    tip = "as in the model" if tool is None else f"mounted by the job, tip at {_numbers(tool.tip_m)} m of the flange"
+    tip = "as in the model"
+    if job.tool.model is not None:
+        tip = f"mounted by the job: {job.tool.model}"
+    elif tool is not None:
+        tip = f"mounted by the job: tip at ({_numbers(tool.tip_m)}) m in the flange's frame"
+    if job.robot.tool_extension_m:
+        tip += f", longer by {1e3 * job.robot.tool_extension_m:g} mm"
     begin = {"home": job.home_rad, "start": job.start}
     return {
         "margin": f"{1e3 * job.margin_m:g} mm, at the targets {between}",
@@ -41,7 +47,7 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
         f"targets; angles {np.degrees(settings.tolerance_rad):.3g} deg",
         "task": "; ".join(map(_row, job.task)) or "the TCP follows the path",
         "arm": f"{robot.name}, from {getattr(arm, 'name', arm)}",
-        "tool": f"{tip}, longer by {1e3 * job.robot.tool_extension_m:g} mm",
+        "tool": tip,
         **{name: _angles(robot, x) for name, x in begin.items() if x},
         "workpiece": place,
         "walls": workpiece.walls,
@@ -77,8 +83,10 @@ def not_checked(
         **({"surroundings": others} if others else {}),
         "process": "whether the weld, cut or coat is good; heat, spatter, distortion, the wire or jet from the tool",
         "cables": "hoses and cables are not in the model, unless they are bodies of the arm or the tool",
-        "place of the part": "the part, the tool and the arm are where the job says. The guaranteed clearance is "
-        "what is left for errors",
+        "place of the part": f"the part, the tool and the arm are where the job says, within the errors: {errors}"
+        if (errors := facts.get("errors"))
+        else "the part, the tool and the arm are where the job says. The guaranteed clearance is the allowance for "
+        "errors",
         "torque": torque,
         "controller": "how the controller interpolates, rounds corners, and follows; htcp program proves the motion of "
         "the file it writes",

@@ -69,7 +69,9 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     made, untimed = _program(plan, folder, feed)
     figures = None if made is None else program_figures(made.program, made.limits)
     timed = {} if figures is None else program_facts.facts_of(figures, made.seam_feeds)
-    glance = {key: facts[key] for key in GLANCE if key in facts} | plan.failure()
+    glance = {key: facts[key] for key in GLANCE if key in facts} | {
+        key: text for key, text in plan.failure().items() if key != "next"
+    }
     glance |= {key: timed[key] for key in ("duration", "feed") if key in timed}
     blocks: list[Block] = [Heading(1, f"Plan: {plan}"), fact_table("glance", glance, "result")]
     blocks += _pictures(plan, str(folder))
@@ -79,7 +81,7 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     blocks += [Heading(2, "What was assumed"), *_assumed(plan, made)]
     unchecked = plan_notes.not_checked(plan.job, plan.robot, plan.obstacles, made, facts, folder)
     blocks += [Heading(2, "What is not checked"), fact_table("not_checked", unchecked, "not checked")]
-    others = {key: text for key, text in facts.items() if key not in glance and key != "planning time"}
+    others = {key: text for key, text in facts.items() if key not in (*glance, "planning time", "workpiece")}
     blocks += [Heading(2, "Other results"), fact_table("results", others)]
     blocks += [Heading(2, "What was run"), *_what_was_run(made_by)]
     return Report((), (), tuple(blocks), tuple(block for block in blocks if isinstance(block, Table)))

@@ -101,10 +101,10 @@ def plain_lines(found: dict[str, Any], is_sweep: bool) -> dict[str, str]:
 
     facts, checks = {}, [{"method": method, **check} for method, check in found["methods"].items()]
     if at := _worst(checks, "clearance_min_mm", min):
-        facts["smallest clearance"] = f"{at['clearance_min_mm']:.3g} mm, at {place(at, 'clearance_min_at')}"
+        facts["minimum clearance"] = f"{at['clearance_min_mm']:.3g} mm, at {place(at, 'clearance_min_at')}"
         if between := _worst(checks, "clearance_between_min_mm", min):
             near = f"{between['clearance_between_min_mm']:.3g} mm, near {place(between, 'clearance_between_min_at')}"
-            facts["smallest clearance"] += f"; between the targets {near}"
+            facts["minimum clearance"] += f"; between the targets {near}"
     if at := _worst(checks, "tcp_error_max_mm", max):
         facts["tool's tip"] = f"within {at['tcp_error_max_mm']:.3g} mm of each target"
         if line := _worst(checks, "line_deviation_max_mm", max):

@@ -20,10 +20,11 @@ def arguments(config: str | Path | Mapping[str, Any] | None, overrides: Sequence
     """Return a job as arguments of a command, such as "job.yaml --set margin_m=0.001".
 
     Args:
-        config: The job file or example; None: the default job. A mapping has no file, and is called JOB.
+        config: The job file or example; None: the default job, the example duct. A mapping has no file and is called
+            JOB.
         overrides: Changes to the job, by key or as "key=value".
     """
-    name = [] if config is None else ["JOB" if isinstance(config, Mapping) else str(config)]
+    name = ["duct"] if config is None else ["JOB" if isinstance(config, Mapping) else str(config)]
     changes = overrides.items() if isinstance(overrides, Mapping) else (each.partition("=")[::2] for each in overrides)
     return shlex.join([*name, *(part for key, value in changes for part in ("--set", f"{key}={value}"))])
 

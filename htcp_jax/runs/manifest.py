@@ -81,7 +81,7 @@ class Manifest(strict_model.FileSection):
     limit: int | None  # requested maximum number of scenarios; None: all
     count: Scenarios  # number of scenarios to plan, the first ones of the grid, or `scenarios`
     scenarios: Annotated[tuple[Scenarios, ...] | None, Field(exclude_if=lambda value: value is None)] = None
-    is_sample: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # drawn by `selection.drawn_numbers`
+    is_sample: Annotated[bool, Field(exclude_if=lambda value: not value)] = False  # drawn by `jobs.drawn_numbers`
     shard_scenarios: Annotated[int | None, Field(exclude=True)] = None  # without effect; written by older versions
     methods: tuple[MethodName, ...]
     seconds: dict[str, Seconds] = Field(default_factory=dict)  # times by method

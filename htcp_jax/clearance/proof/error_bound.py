@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
+from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, ROUNDING_M
 from htcp_jax.model import Robot, moved_by
 
 NOTHING = 3 * ROUNDING_M  # part of every distance that is not used, for rounding [m]
@@ -203,7 +203,8 @@ def _of_other(robot: Robot, errors: ErrorSet, places: Places, pairs: Pairs) -> t
         return np.zeros((1, 1)), np.zeros((1, 1))
     turn, link = np.linalg.norm(errors.tool_turn_rad), np.array(robot.capsule_link)
     ends = np.stack([np.asarray(robot.capsule_p), np.asarray(robot.capsule_q)], axis=1)
-    to_tool = np.linalg.norm(ends - errors.T_link_tool[:3, 3], axis=2).max(axis=1) * (link == robot.tcp_link)
+    to_tool = np.linalg.norm(ends - errors.T_link_tool[:3, 3], axis=2).max(axis=1) + piece_radius(robot)
+    to_tool = to_tool * (link == robot.tcp_link)
     distance = to_tool[pairs.other_body]
     size = np.linalg.norm(errors.tool_shift_m) + turn * distance
     return (is_tool * size)[:, None], (is_tool * 0.5 * turn * turn * distance)[:, None]
@@ -256,4 +257,13 @@ def largest_moves(
     distance = np.linalg.norm(corners - frame[:, None, None, :3, 3], axis=3)
     turn = np.linalg.norm(errors.tool_turn_rad)
     size = most * (np.linalg.norm(errors.tool_shift_m) + turn * distance) * errors.is_tool[:, None]
-    return (stretch[..., None] * (swept + size)).max(axis=2)
+    # Points of a piece are off the axis, and turn about it, see `interval.piece_turn_bound`.
+    turned = turns @ (moves & levers.hinge).T.astype(float) + most * turn * errors.is_tool
+    return (stretch[..., None] * (swept + size)).max(axis=2) + piece_radius(robot) * np.minimum(turned, 2.0)
+
+
+def piece_radius(robot: Robot) -> Float[np.ndarray, "K"]:
+    """Return the largest distance of the points of each body's piece from its axis [m]; 0 for capsules."""
+    if robot.pieces is None:
+        return np.zeros(len(robot.capsule_radius))
+    return np.where(np.asarray(robot.pieces.excess_m) > 0, np.asarray(robot.capsule_radius) + OUTSIDE_M, 0.0)

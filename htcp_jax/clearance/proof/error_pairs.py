@@ -27,6 +27,7 @@ from htcp_jax.clearance.proof.error_bound import (
     Places,
     largest_moves,
     levers_of,
+    piece_radius,
     scales,
 )
 from htcp_jax.clearance.proof.error_scene import ErrorScene, Points, Solid, normals_between, padded_count, placed
@@ -237,7 +238,7 @@ class _Here:
         free = np.asarray(_free_radii(own, self.scene.robot, self.scene.where, x))[:count]
         bodies, others = np.array(rows.body), np.array(rows.other)
         place, row = np.nonzero(free <= 2 * self.moves.max())
-        corners = self.ends[place, bodies[row]]
+        corners = _boxes(self.ends[place, bodies[row]], piece_radius(self.scene.robot)[bodies[row]])
         normal, radius = np.broadcast_to(UNKNOWN, (len(place), 3)), np.zeros(len(place))
         found = self._portions(place, bodies[row], corners, radius, normal, free[place, row], other=others[row])
         return self._limits(number, place, bodies[row], found)
@@ -366,3 +367,15 @@ def _joined(parts: Sequence[Limits]) -> Limits:
 @partial(jax.vmap, in_axes=(None, None, None, 0))
 def _free_radii(own: Obstacle, robot: Robot, where: HasWorkpiecePose, x):
     return own.free_radius(robot, where, bodies_at(robot, where, x))
+
+
+def _boxes(ends: Float[np.ndarray, "P 2 3"], radius: Float[np.ndarray, "P"]) -> Float[np.ndarray, "P 8 3"]:
+    """Return the corners of boxes about axes with a radius [m]: a displacement is largest at a corner."""
+    axis = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = np.where(length > 0, axis / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    sides = np.stack([axis, across, np.cross(axis, across)], axis=1) * radius[:, None, None]
+    signs = np.array([(a, b, c) for a in (-1.0, 1.0) for b in (-1.0, 1.0) for c in (-1.0, 1.0)])
+    return ends[:, (signs[:, 0] > 0).astype(int)] + np.einsum("vi,pij->pvj", signs, sides)

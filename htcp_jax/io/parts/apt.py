@@ -311,8 +311,8 @@ class _Reader:
         feeds = [each.feeds[0] if len({*each.feeds}) == 1 else None for each in contours]
         self._name_unused(contours)
         if plunges := sum(len(each.points) for each in whole) - len(xyz):
-            what = f"{plunges} moves at a feed along the tool's axis, to or from the ends of contours, are not used: "
-            warnings.warn(f"{self.path}: {what}the planner finds its own approach", Note, stacklevel=5)
+            what = f"moves at a feed along the tool's axis, to or from the ends of contours, are not used: {plunges}"
+            warnings.warn(f"{self.path}: {what}; the planner finds its own approach", Note, stacklevel=5)
         return AptPath(xyz, normals, seams, feeds, self.state.unit)
 
     def _name_unused(self, contours: list[_Contour]) -> None:
@@ -344,13 +344,12 @@ def _without_plunges(contour: _Contour) -> _Contour:
     A contour of such moves only is returned as it is.
     """
     steps = np.diff(contour.points, axis=0)
-    axes = np.array([np.zeros(3) if axis is None else axis for axis in contour.axes])
     lengths = np.linalg.norm(steps, axis=1)
-    along = np.sum(steps * axes[1:], axis=1)
+    along = np.sum(steps * _filled(contour.axes)[1:], axis=1)
     first, last = 0, len(steps)
-    while first < last and along[first] < -ALONG * lengths[first]:
+    while first < last and along[first] <= -ALONG * lengths[first]:
         first += 1
-    while first < last and along[last - 1] > ALONG * lengths[last - 1]:
+    while first < last and along[last - 1] >= ALONG * lengths[last - 1]:
         last -= 1
     if first == last:
         return contour
