@@ -19,7 +19,11 @@ RATES = "velocity", "acceleration", "jerk"
 
 def fact_table(name: str, facts: dict[str, str], heading: str = "") -> Table:
     """Return a table with a row for each fact, its label and its text."""
-    return Table(name, (Column("fact", heading or "item"), Column("value", "value")), tuple(facts.items()))
+    return Table(
+        name,
+        (columns.column("fact")._replace(heading=heading or "item"), columns.column("value")),
+        tuple(facts.items()),
+    )
 
 
 def phase_table(made: PlanProgram, names: Sequence[str]) -> Table:
@@ -39,7 +43,7 @@ def phase_table(made: PlanProgram, names: Sequence[str]) -> Table:
         lasts[phase] = lasts.get(phase, 0.0) + seconds
     whole = made.program.duration_s
     rows = [(name, begins[name], last, 100 * last / whole) for name, last in lasts.items()]
-    shown = Column("phase", "phase"), *columns.of("begin_s", "duration_s", "percent")
+    shown = columns.of("phase", "begin_s", "duration_s", "percent")
     return Table("phases", shown, (*rows, ("cycle", 0.0, whole, 100.0)))
 
 
@@ -68,8 +72,7 @@ def angle_table(
             least, most = (float(reduce(known)) for reduce in (np.fmin.reduce, np.fmax.reduce))
             allowed = "free" if getattr(row, key) == "free" else " to ".join(f"{v:g}" for v in row.bounds_deg(key))
             made.append((name, key.removesuffix("_deg").replace("_", " "), least, most, allowed))
-    degrees = [Column(key, key, "deg", PLAIN) for key in ("smallest", "largest")]
-    shown = Column("seam", "seam"), Column("angle", "angle"), *degrees, Column("allowed", "allowed", "deg")
+    shown = columns.of("seam", "angle", "smallest_deg", "largest_deg", "allowed")
     return Table("angles", shown, tuple(made))
 
 
@@ -96,11 +99,7 @@ def seam_table(order: SeamOrder, made: PlanProgram | None) -> Table:
         )
         for each in order.visits
     ]
-    shown = (
-        *(Column("seam", "seam"), Column("direction", "direction"), *columns.of("first_target", "last_target")),
-        Column("guaranteed_mm", "guaranteed clearance", "mm", ".3g"),
-        *(Column("margin_mm", "margin", "mm", ".3g"), Column("feed", "feed")),
-    )
+    shown = columns.of("seam", "direction", "first_target", "last_target", "guaranteed_mm", "margin_mm", "program_feed")
     return Table("seams", shown, tuple(rows))
 
 
@@ -122,7 +121,7 @@ def joint_table(robot: Robot, x: Float[np.ndarray, "n N"], made: PlanProgram | N
     names = ["from", "to", "used from", "used to", *(RATES[: len(limits)])]
     per = ["", "", "", "", "per s", "per s2", "per s3"]
     shown = [Column(name.replace(" ", "_"), name, unit, ".1f") for name, unit in zip(names, per, strict=False)]
-    return Table("joints", (Column("joint", "joint"), Column("unit", "unit"), *shown), tuple(rows))
+    return Table("joints", (*columns.of("joint", "measured_in"), *shown), tuple(rows))
 
 
 def limit_sources(made: PlanProgram) -> str:
@@ -153,10 +152,7 @@ def format_table(made: PlanProgram) -> Table:
             rows.append((name, step_ms, len(timed.x), f"htcp program --format {name}"))
         except InputError as error:
             rows.append((name, step_ms, None, f"needs more: {error}"))
-    shown = (
-        *(Column("format", "format"), Column("step_ms", "step", "ms", ".3g")),
-        *(Column("configurations", "configurations", "", ",d"), Column("how", "written by")),
-    )
+    shown = (*columns.of("format", "interval_ms", "configurations", "written_by"),)
     return Table("formats", shown, tuple(rows))
 
 
