@@ -151,7 +151,7 @@ def options(command: str, capsys) -> dict[str, str]:
 
 def test_each_command_lists_its_exit_codes_and_each_option_has_one_spelling(capsys):
     found = {command: options(command, capsys) for command in COMMANDS}
-    several = "--out", "--unit"  # units of angles, and of lengths
+    several = "--out", "--unit", "--scenarios"  # units of angles and of lengths; a count, and numbers of a grid
     spellings = {(name, form) for each in found.values() for name, form in each.items() if name not in several}
     assert sorted({name for name, _ in spellings}) == sorted(name for name, _ in spellings)
     seeded = {"plan", "sweep", "place", "reachability", "view"}  # as everything else is decided by what they read

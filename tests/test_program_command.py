@@ -353,10 +353,11 @@ def test_a_program_with_outputs_is_proven_and_reads_back_to_the_motion(plans, he
     found = read_motion(here / "weld.out", made.robot, controller_of(made.job, made.robot), format=format)
     assert np.abs(found.x - own.x).max() < 2e-5
     lines = [line.strip() for line in (here / "weld.out").read_text().splitlines()]
-    on, off = (next(k for k, line in enumerate(lines) if each in line) for each in _halves(output))
+    on, off = ([k for k, line in enumerate(lines) if each in line] for each in _halves(output))
     moves = [k for k, line in enumerate(lines) if re.sub(r"^\d+:", "", line).startswith(move)]
     process = np.flatnonzero(own.kind == Kind.PROCESS)
-    assert [sum(k < at for k in moves) for at in (on, off)] == [process[0], process[-1] + 1]
+    (begin, end), (start,) = off, on  # off before any motion, too
+    assert [sum(k < at for k in moves) for at in (begin, start, end)] == [0, process[0], process[-1] + 1]
 
 
 def _halves(text: str) -> tuple[str, str]:
