@@ -89,7 +89,7 @@ def _end(status: Status):
 
 
 def test_a_job_with_changes_is_one_line_of_arguments():
-    assert failure_texts.arguments(None, ["margin_m=0.001"]) == "--set margin_m=0.001"
+    assert failure_texts.arguments(None, ["margin_m=0.001"]) == "duct --set margin_m=0.001"
     assert failure_texts.arguments("a job.yaml", {"start_rad": "auto"}) == "'a job.yaml' --set start_rad=auto"
     assert failure_texts.arguments({"margin_m": 0.001}) == "JOB"
 

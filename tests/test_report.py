@@ -568,7 +568,7 @@ def test_bad_input_is_one_line_and_exit_2(folder, tmp_path, capsys):
     try:
         shard.write_bytes(whole[:100])
         for name, line in {
-            tmp_path / "empty": "contains no run",
+            tmp_path / "empty": "contains neither a run (manifest.json) nor a plan (summary.json)",
             tmp_path / "none": "contains no run",
             folder / "measuring": shard.name,
         }.items():

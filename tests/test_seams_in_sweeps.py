@@ -189,13 +189,13 @@ def test_a_search_whose_time_is_up_ends_after_one_call_for_the_search_and_one_fo
 
 
 def test_a_call_grows_to_a_share_of_the_time_limit_and_what_does_not_fit_is_omitted(tmp_path):
-    clock = Clock(tmp_path, 100.0)
-    clock.add("rounds/000", PlanTime(FIRST, FIRST * 0.01, quick=True))
+    clock = Clock(tmp_path, 100.0, 0.0)
+    clock.add("rounds/000", PlanTime(FIRST, FIRST * 0.01, quick=True), 0.0)
     assert clock.plans_together() == 4 * FIRST
-    clock.add("rounds/001", PlanTime(4 * FIRST, 4 * FIRST * 0.5, quick=True))
+    clock.add("rounds/001", PlanTime(4 * FIRST, 4 * FIRST * 0.5, quick=True), 0.0)
     assert clock.plans_together() == 10 and clock.fits(100, quick=True) and not clock.fits(200, quick=True)
     assert clock.fits(40, quick=False) and not clock.fits(50, quick=False)
-    resumed = Clock(tmp_path, 100.0)
-    resumed.add("rounds/000", PlanTime(FIRST, 0.0, quick=True))
-    resumed.add("rounds/001", PlanTime(4 * FIRST, 0.0, quick=True))
+    resumed = Clock(tmp_path, 100.0, 0.0)
+    resumed.add("rounds/000", PlanTime(FIRST, 0.0, quick=True), 0.0)
+    resumed.add("rounds/001", PlanTime(4 * FIRST, 0.0, quick=True), 0.0)
     assert resumed.used == clock.used
