@@ -559,7 +559,7 @@ TASKS = [
 ]  # fmt: skip
 PLAN = {"summary_json": '{"method": "baseline", "config": {}, "files": {}}', "trajectory_npz": b"PK"}
 FOLDERS = [
-    folder("report", "run contains a plan of htcp plan, not a run; open it with htcp view, htcp render", **PLAN),
+    folder("report", "run/trajectory.npz is damaged", **PLAN),
     folder("gate", "run contains a plan of htcp plan, not a run; open it with htcp view, htcp render", **PLAN),
     folder("validate", "run/trajectory.npz is damaged", **PLAN),
     folder("view", "run/trajectory.npz is damaged", **PLAN),
@@ -571,7 +571,7 @@ FOLDERS = [
     folder("report", "manifest.json is damaged", manifest_json=b""),
     folder("validate", "manifest.json is damaged", manifest_json="null"),
     folder("view", "run has the format of another version", manifest_json='{"format": 2}'),
-    folder("report", "run contains no run: cannot read manifest.json", other="x"),
+    folder("report", "run contains neither a run (manifest.json) nor a plan (summary.json)", other="x"),
     folder("gate", "run contains no run: cannot read manifest.json", other="x"),
     folder("validate", "run contains neither a run", other="x"),
     folder("view", "run contains neither a run", other="x"),
