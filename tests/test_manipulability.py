@@ -74,7 +74,7 @@ def test_targets_and_times_of_older_versions_are_read_with_empty_columns(tmp_pat
     rows = target_table("beam", np.arange(1), plans, joint_columns(toy.robot()), plans.residual)
     older = with_new_columns(rows.drop_columns([MANIPULABILITY]), rows.schema)
     assert older.schema.equals(rows.schema) and older[MANIPULABILITY].null_count == len(rows)
-    shard = SimpleNamespace(method="beam", first=0, last=0, targets=SimpleNamespace(sha256="0"))
+    shard = SimpleNamespace(method="beam", scenario_numbers=range(1), targets=SimpleNamespace(sha256="0"))
     times = pa.Table.from_pylist([{"scenario": 0, "cycle_time_s": 2.0, "feed_target": 3}], timing_file.SCHEMA)
     for kept, expected in ((times, [3]), (times.drop_columns(["feed_target"]), [None])):
         (tmp_path / "timing").mkdir(exist_ok=True)
