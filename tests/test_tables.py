@@ -40,8 +40,8 @@ def test_every_table_of_the_command_line_fits_80_columns(request, tmp_path, monk
         capsys.readouterr()
     words = {
         "sweep": ["sweep", str(place / "grid.yaml"), "--methods", "baseline,cspace-sample", "--out", run],
-        "validate": ["validate", run, "--between", "2"],
-        "validate fast": ["validate", run, "--between", "0"],
+        "validate": ["validate", run, "--between", "2", "--verbose"],
+        "validate fast": ["validate", run, "--between", "0", "--verbose"],
         "report": ["report", run, "--out", str(tmp_path / "report")],
         "gate": ["gate", run, "--baseline", str(tmp_path / "base.yaml")],
         "methods": ["methods"],
