@@ -80,13 +80,29 @@ class Pairs(NamedTuple):
 
 
 class Levers(NamedTuple):
-    """What the bounds of a robot's motion need in each interval, on the host."""
+    """Joints of a robot in each interval, on the host, for bounds on its motion."""
 
     hinge: Bool[np.ndarray, "J"]
     moves: Bool[np.ndarray, "L J"]  # True where a joint moves a link, see `moved_by`
     factors: Float[np.ndarray, "J N"]  # of the joints q = C x + d
     axis: Float[np.ndarray, "n J 3"]  # of the joints, at the middles
     origin: Float[np.ndarray, "n J 3"]  # [m]
+
+    def columns(self, place: Int[np.ndarray, "*#r"], points: Float[np.ndarray, "*#r V 3"]) -> np.ndarray:
+        """Return the columns of points' Jacobians in some intervals, of each joint (*r, V, J, 3) [m/rad or 1].
+
+        Args:
+            place: The intervals.
+            points: The points [m].
+        """
+        axis = self.axis[place][..., None, :, :]
+        arm = points[..., None, :] - self.origin[place][..., None, :, :]
+        return np.where(self.hinge[:, None], np.cross(axis, arm), axis)
+
+
+def displacement_size(shift_m: Float[np.ndarray, "3"], turn_rad: Float[np.ndarray, "3"], distance):
+    """Return a bound on the displacement of points at a distance from the centre of a displaced body [m]."""
+    return np.linalg.norm(shift_m) + np.linalg.norm(turn_rad) * distance
 
 
 def levers_of(robot: Robot, places: Places) -> Levers:
@@ -116,15 +132,15 @@ def scales(
     gap = np.where(is_directed[:, None], gap, pairs.height[:, None])
     c0, c1, c2 = joint_terms(robot, errors, places, levers, pairs, most)
     b1, b2 = part_terms(errors, pairs)
-    room = gap - c0 - (margin_m + NOTHING)
-    return np.clip(root(room, c1 + b1, c2 + b2).min(axis=1), 0.0, most)
+    slack = gap - c0 - (margin_m + NOTHING)
+    return np.clip(root(slack, c1 + b1, c2 + b2).min(axis=1), 0.0, most)
 
 
-def root(room: Float[np.ndarray, "*n"], first, second) -> Float[np.ndarray, "*n"]:
-    """Return the largest l with first l + second l^2 <= room [1]; 0 if there is no room [m]."""
-    size = first + np.sqrt(first * first + 4 * second * np.maximum(room, 0.0))
+def root(slack: Float[np.ndarray, "*n"], first, second) -> Float[np.ndarray, "*n"]:
+    """Return the largest l with first l + second l^2 <= slack [1]; 0 if there is no slack [m]."""
+    size = first + np.sqrt(first * first + 4 * second * np.maximum(slack, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(room > 0, np.where(size > 0, 2 * room / size, np.inf), 0.0)
+        return np.where(slack > 0, np.where(size > 0, 2 * slack / size, np.inf), 0.0)
 
 
 def joint_terms(robot: Robot, errors: ErrorSet, places: Places, levers: Levers, pairs: Pairs, most: float):
@@ -141,9 +157,7 @@ def joint_terms(robot: Robot, errors: ErrorSet, places: Places, levers: Levers, 
     i, link = pairs.place, np.array(robot.capsule_link)[pairs.body]
     sign = levers.moves[link].astype(float) - levers.moves[pairs.other]  # joints between both
     between, hinge = np.abs(sign), levers.hinge[None]
-    axis = levers.axis[i]
-    arm = pairs.corners[:, :, None] - levers.origin[i][:, None]  # (P, V, J, 3)
-    column = np.where(hinge[..., None][:, None], np.cross(axis[:, None], arm), axis[:, None])
+    column = levers.columns(i, pairs.corners)
     lever = np.linalg.norm(column, axis=3) * between[:, None]
     is_directed = ~np.isnan(pairs.normal[:, 0])
     normal = np.where(is_directed[:, None], pairs.normal, 0.0)
@@ -174,7 +188,7 @@ def joint_terms(robot: Robot, errors: ErrorSet, places: Places, levers: Levers, 
         inside = pairs.in_body[:, None]
         turn = np.linalg.norm(errors.tool_turn_rad) * errors.is_tool[pairs.body][:, None]
         away = np.linalg.norm(pairs.point - errors.part_about_m, axis=1)[:, None]
-        part = np.linalg.norm(errors.part_shift_m) + np.linalg.norm(errors.part_turn_rad) * np.nan_to_num(away)
+        part = displacement_size(errors.part_shift_m, errors.part_turn_rad, np.nan_to_num(away))
         part = np.where(np.isnan(away), 0.0, part)
         c1 = c1 + inside * (turn * stretch * sweep0 + turn0 * part)
         more = turn * (stretch * sweep1 + np.linalg.norm(errors.tool_shift_m)) + (turn1 + turn) * part
@@ -188,7 +202,7 @@ def tool_terms(robot: Robot, errors: ErrorSet, places: Places, pairs: Pairs, bod
     away = pairs.corners - frame[:, None, :3, 3]
     distance, is_tool = np.linalg.norm(away, axis=2), errors.is_tool[body][:, None]
     turn = np.linalg.norm(errors.tool_turn_rad)
-    size = np.linalg.norm(errors.tool_shift_m) + turn * distance
+    size = displacement_size(errors.tool_shift_m, errors.tool_turn_rad, distance)
     first = np.abs(np.einsum("pi,pij->pj", normal, frame[:, :3, :3])) @ errors.tool_shift_m
     across = np.einsum("pvi,pij->pvj", np.cross(away, normal[:, None]), frame[:, :3, :3])
     first = first[:, None] + np.abs(across) @ errors.tool_turn_rad
@@ -206,7 +220,7 @@ def _of_other(robot: Robot, errors: ErrorSet, places: Places, pairs: Pairs) -> t
     to_tool = np.linalg.norm(ends - errors.T_link_tool[:3, 3], axis=2).max(axis=1) + piece_radius(robot)
     to_tool = to_tool * (link == robot.tcp_link)
     distance = to_tool[pairs.other_body]
-    size = np.linalg.norm(errors.tool_shift_m) + turn * distance
+    size = displacement_size(errors.tool_shift_m, errors.tool_turn_rad, distance)
     return (is_tool * size)[:, None], (is_tool * 0.5 * turn * turn * distance)[:, None]
 
 
@@ -221,9 +235,10 @@ def part_terms(errors: ErrorSet, pairs: Pairs) -> tuple[Float[np.ndarray, "P V"]
     at = np.where(is_point[:, None, None], pairs.point[:, None], pairs.corners) - errors.part_about_m
     distance, turn = np.linalg.norm(at, axis=2), np.linalg.norm(errors.part_turn_rad)
     shift = np.linalg.norm(errors.part_shift_m)
+    size = displacement_size(errors.part_shift_m, errors.part_turn_rad, distance)
     first = (np.abs(pairs.normal) @ errors.part_shift_m)[:, None]
     first = first + np.abs(np.cross(at, pairs.normal[:, None])) @ errors.part_turn_rad
-    first = np.where(np.isnan(first), shift + turn * distance, first) + errors.cloud_m * is_point[:, None]
+    first = np.where(np.isnan(first), size, first) + errors.cloud_m * is_point[:, None]
     second = 0.5 * turn * turn * distance + (turn * shift) * pairs.is_side[:, None]
     of_part = (is_point | pairs.is_side)[:, None]
     return np.where(of_part, first, 0.0), np.where(of_part, second, 0.0)
@@ -249,16 +264,16 @@ def largest_moves(
     """
     moves = levers.moves[np.array(robot.capsule_link)]
     turns = (places.turns + most * errors.joints) @ np.abs(levers.factors).T
-    arm = corners[:, :, :, None] - levers.origin[:, None, None]
-    column = np.where(levers.hinge[:, None], np.cross(levers.axis[:, None, None], arm), levers.axis[:, None, None])
+    column = levers.columns(np.arange(len(corners))[:, None], corners)
     swept = np.einsum("nkvj,nj,kj->nkv", np.linalg.norm(column, axis=4), turns, moves)
     stretch = np.prod(np.where(moves & levers.hinge, 1 + turns[:, None], 1.0), axis=2)
     frame = places.T[:, robot.tcp_link] @ errors.T_link_tool
     distance = np.linalg.norm(corners - frame[:, None, None, :3, 3], axis=3)
-    turn = np.linalg.norm(errors.tool_turn_rad)
-    size = most * (np.linalg.norm(errors.tool_shift_m) + turn * distance) * errors.is_tool[:, None]
+    size = most * displacement_size(errors.tool_shift_m, errors.tool_turn_rad, distance) * errors.is_tool[:, None]
     # Points of a piece are off the axis, and turn about it, see `interval.piece_turn_bound`.
-    turned = turns @ (moves & levers.hinge).T.astype(float) + most * turn * errors.is_tool
+    turned = (
+        turns @ (moves & levers.hinge).T.astype(float) + most * np.linalg.norm(errors.tool_turn_rad) * errors.is_tool
+    )
     return (stretch[..., None] * (swept + size)).max(axis=2) + piece_radius(robot) * np.minimum(turned, 2.0)
 
 
