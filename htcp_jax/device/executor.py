@@ -315,7 +315,8 @@ class Executor:
         return self._for_either if lane_function.any_cone else self._scene, np.int32(lanes), *padded
 
     def _executable(self, lane_function: LaneFunction, arguments: tuple) -> jax.stages.Compiled:
-        key = lane_function, len(jax.tree.leaves(arguments)[-1])  # the tables' length: a table may be short
+        leaves, structure = jax.tree.flatten(arguments[2:])
+        key = lane_function, structure, len(leaves[-1])  # the tables' length: a table may be short
         if key not in self._own:
             self._own[key] = self._executables.get(lane_function, self._settings, self.device, arguments, self._waiting)
         return self._own[key]

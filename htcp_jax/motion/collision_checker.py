@@ -24,11 +24,11 @@ from htcp_jax.motion.step_functions import (
     MAY_BE_VALID,
     PROVE,
     PROVE_POLYNOMIAL,
+    SETTLE,
     TIP,
     ProofResolution,
     State,
     advance_of,
-    settle_call,
 )
 from htcp_jax.motion.tip_motions import TipMotions
 from htcp_jax.settings import Settings
@@ -88,7 +88,7 @@ class CollisionChecker:
 
     def project(self, inputs: LaneInputs, q: Configurations) -> Configurations:
         """Return configurations moved onto their targets by inverse kinematics, if it converges; they may collide."""
-        return self.executor(*settle_call(inputs, q))
+        return self.executor(SETTLE, inputs, q)
 
     def edges(
         self,

@@ -311,8 +311,6 @@ TRACK_CHUNK = lane_function.LaneFunction(
 CLEAR = lane_function.LaneFunction("is_clear", is_configuration_clear, lane_function.STEP, any_cone=True)
 MAY_BE_VALID = lane_function.LaneFunction("may_be_valid", may_be_valid, lane_function.STEP, any_cone=True)
 SETTLE = lane_function.LaneFunction("settle", settle, lane_function.STEP, any_cone=True)
-# the same for inputs with joints that must not move, as an executor has one executable for each lane function
-SETTLE_STILL = lane_function.LaneFunction("settle_still", settle, lane_function.STEP, any_cone=True)
 TASK_ROWS = lane_function.LaneFunction("hold", task_rows, lane_function.STEP, any_cone=True)
 TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP, any_cone=True)
 PROVE = lane_function.LaneFunction(
@@ -326,13 +324,3 @@ PROVE_POLYNOMIAL = lane_function.LaneFunction(
 def advance_of(settings: Settings) -> lane_function.LaneFunction:
     """Return the lane function that advances and measures lanes with the rows of `settings.clearance_rows`."""
     return ADVANCE_SMALLEST if settings.clearance_rows == "smallest" else ADVANCE
-
-
-def settle_call(inputs: LaneInputs, x) -> tuple:
-    """Return the call of `settle`, as for `Executor.preparing`.
-
-    Args:
-        inputs: Scenario and target of each lane.
-        x: Configurations (n, N) [rad or m].
-    """
-    return SETTLE if inputs.still is None else SETTLE_STILL, inputs, x

@@ -68,7 +68,7 @@ class BeamSearchMethod(Method):
         moving = problem.with_still_joints(inputs, one, zero)
         proof = prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
         first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, moving, x), proof]
-        smooths = [] if problem.settings.smooth is False else [step_functions.settle_call(moving, x)]
+        smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, moving, x)]
         if not problem.checkers[0].executor.freedom:
             return WarmUp([*first, *smooths])
         self_motion = SELF_MOTION, moving, x, zero.astype(np.int32)
