@@ -1,4 +1,4 @@
-"""Exceptions and warnings that users see, and the wording of pydantic's errors."""
+"""Exceptions and warnings that users see, the wording of pydantic's errors, and parts of messages."""
 
 import difflib
 import reprlib
@@ -34,6 +34,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the question for a similar known name, such as "did you mean beam? "; "" if no name is similar."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"did you mean {close[0]}? " if close else ""
+
+
+def mm_text(length_m: float) -> str:
+    """Return a length [m] as text in millimetres."""
+    return f"{1e3 * length_m:.3g} mm"
 
 
 def described(error: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError, Note, mm_text
 from htcp_jax.proving import ProgramProof
 from htcp_jax.system import output_files
 from htcp_jax.trajectory import (
@@ -123,7 +123,7 @@ def refusal(proof: ProgramProof) -> str:
     contact, motion = proof.contact, proof.motion
     where = f"lines {motion.line[contact.segment]} to {motion.line[contact.segment + 1]}"
     moves = f"the motion of the file, {motion.interpolation} between its configurations"
-    apart = f"{contact.depth} inside" if contact.clearance_m <= 0 else f"{_mm(contact.clearance_m)} from"
+    apart = f"{contact.depth} inside" if contact.clearance_m <= 0 else f"{mm_text(contact.clearance_m)} from"
     found = f"{contact.body} is {apart} {contact.other}"
     if proof.is_refuted:
         return f"{moves}, collides at {where}: {found}"
@@ -137,7 +137,7 @@ def proof_facts(proof: ProgramProof) -> dict[str, str]:
     count, took = len(proof.proof.verdict), f"read back and proven in {proof.seconds:.1f} s"
     if proof.is_undecided:
         return {"file's motion": f"undecided, {proof.cause.message}; {took}"}
-    clear = f"guaranteed clearance {_mm(float(proof.proof.guaranteed_m))}"
+    clear = f"guaranteed clearance {mm_text(float(proof.proof.guaranteed_m))}"
     between = f"{proof.motion.interpolation} between the configurations"
     return {"file's motion": f"proven, {clear} on {count:,} segments, {between}; {took}"}
 
@@ -153,7 +153,3 @@ def proof_record(proof: ProgramProof) -> dict[str, Any]:
         "guaranteed_mm": guaranteed_mm if np.isfinite(guaranteed_mm) else None,
         "seconds": proof.seconds,
     }
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.3g} mm"

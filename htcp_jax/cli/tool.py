@@ -13,10 +13,11 @@ from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity, vector
 from htcp_jax.cli.robot import FitTolerance, Most, Replace, bodies_table, picture_of, tolerance_m_of
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
+from htcp_jax.io.parts import PER_METRE
 from htcp_jax.spec import tool as tools
 from htcp_jax.system import output_files
 
-FILE_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # of a mesh [m]
+FILE_UNITS = {unit: 1 / number for unit, number in PER_METRE.items()}  # of a mesh [m]
 
 JOBS = ".yaml", ".yml"
 

@@ -112,6 +112,16 @@ def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray
     return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
 
 
+def nearest_share(off: Float[np.ndarray, "*#r d"], along: Float[np.ndarray, "*#r d"]) -> Float[np.ndarray, "*s"]:
+    """Return the places on segments that are nearest to points, as shares of the segments.
+
+    Args:
+        off: Vectors from the segments' beginnings to the points [m].
+        along: Vectors from the segments' beginnings to their ends [m].
+    """
+    return np.clip((off * along).sum(axis=-1) / np.maximum((along * along).sum(axis=-1), 1e-300), 0.0, 1.0)
+
+
 def area(triangles: Triangles) -> Float[np.ndarray, "F"]:
     """Return the area of each triangle [m2]."""
     a, b, c = np.moveaxis(triangles, 1, 0)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance import Scene, contacts, nearest_to
 from htcp_jax.clearance.obstacles import SelfCollision, refused_pair
 from htcp_jax.device import lane_function, tables
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, mm_text
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
@@ -46,8 +46,8 @@ class Attempt(NamedTuple):
         """Text that names the bodies, the depth or clearance, and the place."""
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m"
         if self.depth_m > 0:
-            return f"{self.body} is {_mm(self.depth_m)} inside {self.other} {where}"
-        return f"{self.body} comes within {_mm(-self.depth_m)} of {self.other} {where}"
+            return f"{self.body} is {mm_text(self.depth_m)} inside {self.other} {where}"
+        return f"{self.body} comes within {mm_text(-self.depth_m)} of {self.other} {where}"
 
 
 class StartCause(NamedTuple):
@@ -202,11 +202,11 @@ class _Measured:
         """Return a `StartCause` for the overlap of a row at configuration k."""
         name, other = self.pair(row, k)
         depth_m, body = -float(self.distance[k, row]), robots.capsule_label(self._problem.robot, name)
-        text = f"{body} is {_mm(depth_m)} inside {other}"
+        text = f"{body} is {mm_text(depth_m)} inside {other}"
         if always:
             where = "every configuration" if self.stands[row] else f"all of {len(self.x)} random configurations"
             least = "" if self.stands[row] else "at least "
-            text = f"{other} and {body} overlap by {least}{_mm(depth_m)} in {where}"
+            text = f"{other} and {body} overlap by {least}{mm_text(depth_m)} in {where}"
         return StartCause(text, name, other, depth_m, always)
 
 
@@ -222,7 +222,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
         off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
-        text = f"out of reach: in {attempts} the arm came only to within {_mm(off)}{turned} of the point"
+        text = f"out of reach: in {attempts} the arm came only to within {mm_text(off)}{turned} of the point"
         return StartCause(text + _at_limits(problem.robot, at.x[best]))
     found = _Measured.at(problem, s, at.x[reached])
     least = found.distance.min(axis=1)
@@ -231,9 +231,9 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         if valid.any():
             return StartCause(f"no start was found in {attempts}")
         margin_m, most_m = float(scenarios.margin_m[s]), float(least.max())
-        lacks = f"a clearance of at most {_mm(most_m)}, less than the margin of {_mm(margin_m)}"
+        lacks = f"a clearance of at most {mm_text(most_m)}, less than the margin of {mm_text(margin_m)}"
         if most_m >= margin_m:
-            lacks = f"less than the margin of {_mm(margin_m)}, or with the tool's bare tip in a wall"
+            lacks = f"less than the margin of {mm_text(margin_m)}, or with the tool's bare tip in a wall"
         return StartCause(f"in {clear} of {attempts} the arm reached the point without collision, but with {lacks}")
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
@@ -242,7 +242,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     body, other, _ = pairs[0]
     k, depth_m = int(least.argmax()), -float(least.max())
     text = (
-        f"{len(least)} of {attempts} reached the point, all in collision, the least by {_mm(depth_m)}: "
+        f"{len(least)} of {attempts} reached the point, all in collision, the least by {mm_text(depth_m)}: "
         f"{', '.join(named)}"
     )
     row = int(deepest[k])
@@ -274,7 +274,3 @@ def _row_distances(settings, scene: Scene, where, x):
 
 
 MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.STEP, any_cone=True)
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.3g} mm"

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.device import tables
-from htcp_jax.model import Robot, Task
+from htcp_jax.errors import mm_text
+from htcp_jax.model import Robot, Task, surface
 from htcp_jax.motion import CollisionChecker, Problem
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
 from htcp_jax.status import SegmentStatus
@@ -49,11 +50,13 @@ class RefusedSegment(NamedTuple):
         """
         place = "at its end" if self.share == 1 else f"at {100 * self.share:.0f} % of it"
         if self.verdict == SegmentStatus.VALID:
-            return f"a proven segment leads there, with a clearance of {_mm(self.clearance_m)}, but was not accepted"
+            return (
+                f"a proven segment leads there, with a clearance of {mm_text(self.clearance_m)}, but was not accepted"
+            )
         if self.verdict == SegmentStatus.REVERSES:
             what = "moves the tool backwards along the path"
         elif self.leaves_path and self.off_m > self.tube_m:
-            what = f"leaves the path by {_mm(self.off_m)}, {_mm(self.tube_m)} allowed"
+            what = f"leaves the path by {mm_text(self.off_m)}, {mm_text(self.tube_m)} allowed"
         elif self.leaves_path:
             what = f"turns the tool by {np.rad2deg(self.off_rad):.3g} deg from its required direction"
         else:
@@ -137,8 +140,7 @@ def _from_line(
 ) -> Float[np.ndarray, "n m"]:
     """Return the distance of points from the lines between `start` and `end` [m]."""
     along, from_start = (end - start)[:, None], points - start[:, None]
-    share = np.clip((from_start * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-300), 0, 1)
-    return np.linalg.norm(from_start - share[..., None] * along, axis=2)
+    return np.linalg.norm(from_start - surface.nearest_share(from_start, along)[..., None] * along, axis=2)
 
 
 def _angles(
@@ -166,7 +168,3 @@ def _worst_place(
     if verdict in LEAVES:
         return int(off.argmax() if off.max() > tube_m else angles.argmax())
     return int(clearance.argmin())
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.3g} mm"

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from htcp_jax.errors import mm_text
 from htcp_jax.io import arrays
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
@@ -123,11 +124,11 @@ def headline(found: FileProof) -> str:
         k = decisive_segment(found)
         assert k is not None
         pair = "" if (near := found.contacts.get(k)) is None else f": {near.body} next to {near.other}"
-        text = f"proven: guaranteed clearance {_mm(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
+        text = f"proven: guaranteed clearance {mm_text(found.guaranteed_m)}, smallest on {_where(found, k)}{pair}"
         off = found.deviation
         if off is None or off.distance_m <= off.tolerance_m:
             return text
-        return f"{text}; but the TCP is {_mm(off.distance_m)} off the path ({_mm(off.tolerance_m)} allowed)"
+        return f"{text}; but the TCP is {mm_text(off.distance_m)} off the path ({mm_text(off.tolerance_m)} allowed)"
     group = unproven_groups(found)[0]
     if group.deepest is None:
         return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
@@ -153,7 +154,7 @@ def segment_text(found: FileProof, segment: int) -> str:
     assert found.proof is not None
     verdict, clearance_m = SegmentStatus(int(found.proof.verdict[segment])), float(found.proof.clearance_m[segment])
     if verdict == SegmentStatus.VALID:
-        return "proven" if math.isinf(clearance_m) else f"proven, at least {_mm(clearance_m)} clear"
+        return "proven" if math.isinf(clearance_m) else f"proven, at least {mm_text(clearance_m)} clear"
     return f"{verdict.words}: {_contact_text(found, segment)}" if segment in found.contacts else verdict.words
 
 
@@ -165,8 +166,8 @@ def _contact_text(found: FileProof, segment: int) -> str:
     if contact.clearance_m <= 0:
         return f"{contact.body} is {contact.depth} inside {contact.other}{cause}"
     is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN
-    less = f", less than the margin of {_mm(found.margin_m)}" if is_near else ""
-    return f"{contact.body} is {_mm(contact.clearance_m)} from {contact.other}{less}{cause}"
+    less = f", less than the margin of {mm_text(found.margin_m)}" if is_near else ""
+    return f"{contact.body} is {mm_text(contact.clearance_m)} from {contact.other}{less}{cause}"
 
 
 def _where(found: FileProof, segment: int, share: float | None = None) -> str:
@@ -269,7 +270,3 @@ def write_proof(folder: Path, found: FileProof) -> None:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.3g} mm"

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
 from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import Executor, lane_function
+from htcp_jax.errors import mm_text
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, reanchor
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
@@ -61,12 +62,12 @@ class Obstruction(NamedTuple):
         if not self.reached:
             angle = f" and {np.rad2deg(self.angle_rad):.3g} deg" if self.angle_rad else ""
             outside = "" if self.within_bands else ", outside of the task's cones and bands"
-            return f"the arm comes only to within {_mm(self.residual_m)}{angle} of the target{outside}"
+            return f"the arm comes only to within {mm_text(self.residual_m)}{angle} of the target{outside}"
         body = self.body_label or self.body
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:
-            return f"{body} is {_mm(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
-        return f"no body collides; {body} comes within {_mm(-self.depth_m)} of {self.other} {where}"
+            return f"{body} is {mm_text(self.depth_m)} inside {self.other} {where}{self.from_mesh}"
+        return f"no body collides; {body} comes within {mm_text(-self.depth_m)} of {self.other} {where}"
 
     def record(self) -> dict[str, Any]:
         """Return the obstruction as a mapping for JSON."""
@@ -181,7 +182,3 @@ def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
 
 
 BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.STEP)
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.3g} mm"

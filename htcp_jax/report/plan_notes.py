@@ -1,4 +1,4 @@
-"""What a plan assumes, and what it does not check, for the report of one plan."""
+"""Assumptions of a plan, and facts that it does not check, for the report of one plan."""
 
 import dataclasses
 from collections.abc import Mapping

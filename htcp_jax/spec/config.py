@@ -262,7 +262,7 @@ class PathColumnsConfig(strict_model.FileSection):
 
 
 class PlatesConfig(strict_model.FileSection):
-    """How the two plates of a fillet are found in the part's mesh, see `model.fillet_plates`."""
+    """Search for the two plates of a fillet in the part's mesh, see `model.fillet_plates`."""
 
     within_m: Annotated[float, Field(gt=0, le=LARGEST)]  # radius around a point of the path
     plate_1_faces: PointM  # direction in the part's frame; plate 1 is the plate that faces it more

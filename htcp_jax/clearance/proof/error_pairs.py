@@ -25,13 +25,14 @@ from htcp_jax.clearance.proof.error_bound import (
     Levers,
     Pairs,
     Places,
+    displacement_size,
     largest_moves,
     levers_of,
     piece_radius,
     scales,
 )
 from htcp_jax.clearance.proof.error_scene import ErrorScene, Points, Solid, normals_between, padded_count, placed
-from htcp_jax.model import Robot
+from htcp_jax.model import Robot, surface
 from htcp_jax.numerics import ragged_rows
 
 BALLS = 64  # maximum number of balls that cover a body for the search among points
@@ -99,7 +100,7 @@ class _Here:
         reach = self.moves
         if own.of_part:
             far = np.linalg.norm(own.points - errors.part_about_m, axis=1).max()
-            part = np.linalg.norm(errors.part_shift_m) + np.linalg.norm(errors.part_turn_rad) * far + errors.cloud_m
+            part = displacement_size(errors.part_shift_m, errors.part_turn_rad, far) + errors.cloud_m
             reach = reach + most * part
         place, body, row = self._points_near(own, reach + own.cover + self.radius)
         point = own.points[row]
@@ -354,8 +355,7 @@ class _Here:
 def _on_axis(ends: Float[np.ndarray, "P 2 3"], point: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
     """Return the points of axes that are nearest to points [m]."""
     d = ends[:, 1] - ends[:, 0]
-    along = np.einsum("pi,pi->p", point - ends[:, 0], d) / np.maximum(np.einsum("pi,pi->p", d, d), 1e-300)
-    return ends[:, 0] + np.clip(along, 0, 1)[:, None] * d
+    return ends[:, 0] + surface.nearest_share(point - ends[:, 0], d)[:, None] * d
 
 
 def _joined(parts: Sequence[Limits]) -> Limits:

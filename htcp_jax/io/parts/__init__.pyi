@@ -1,3 +1,4 @@
+from .lengths import PER_METRE
 from .path_file import PathPoints, has_feeds, read_path_points
 from .point_cloud import load_geometry
 from .units import check_cell_extent, check_tool, check_tool_extent
@@ -12,6 +13,7 @@ from .workpiece_source import (
 )
 
 __all__ = [
+    "PER_METRE",
     "GeneratedDuct",
     "NoCloud",
     "PathPoints",

@@ -51,7 +51,7 @@ IDENTITIES = {  # records that state the points' frame, with the values of the p
     "CSYS": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0],
 }
 ALONG = 0.9998  # cosine of the angle within which a move is along the tool's axis
-ARCS = {"CYCLE", "CUTCOM", "CIRCLE", "ARC", "MOVARC", "TLON", "CYLNDR", "ARCSLP"}
+UNREADABLE = {"CYCLE", "CUTCOM", "CIRCLE", "ARC", "MOVARC", "TLON", "CYLNDR", "ARCSLP"}
 
 
 class AptPath(NamedTuple):
@@ -190,7 +190,7 @@ class _Reader:
             return
         elif word == "TRNTYP" and not any(self._numbers(record, record.values[1:], (3,))):
             return
-        elif word in ARCS or word.startswith("TLON"):
+        elif word in UNREADABLE or word.startswith("TLON"):
             self.fail(
                 record, f"{word} moves in a way that cannot be read; let the CAM system write arcs as points, by GOTO"
             )

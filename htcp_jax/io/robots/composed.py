@@ -78,7 +78,15 @@ def indexed_joints(named: Sequence[str], source: ModelSource) -> tuple[str, ...]
 
 @no_log()
 def _joint_names(file: Path) -> list[str]:
-    return [joint.name or f"joint{k}" for k, joint in enumerate(read_spec(file, contacts=True).joints, 1)]
+    return [joint.name for joint in _read_spec(file).joints]
+
+
+def _read_spec(file: Path) -> mujoco.MjSpec:
+    """Read a model whose joints all have names: their own, or those of `mujoco_models.joint_name`."""
+    spec = read_spec(file, contacts=True)
+    for number, joint in enumerate(spec.joints, 1):
+        joint.name = joint.name or f"joint{number}"
+    return spec
 
 
 def _compose(cell: ComposedModel) -> mujoco.MjSpec:
@@ -106,9 +114,7 @@ def _compose(cell: ComposedModel) -> mujoco.MjSpec:
 
 
 def _read_part(placed: PlacedModel) -> _Part:
-    spec = read_spec(placed.file, contacts=True)
-    for number, joint in enumerate(spec.joints, 1):
-        joint.name = joint.name or f"joint{number}"
+    spec = _read_spec(placed.file)
     set_massless(spec)  # as for a single file
     bare = spec.copy()
     delete_all(bare, bare.tuples, bare.excludes, bare.geoms, bare.meshes)

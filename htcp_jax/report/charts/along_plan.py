@@ -23,7 +23,7 @@ COLOURS = {Kind.PROCESS: "#1f6fb4", Kind.APPROACH: "#b8860b", Kind.DWELL: "#0b8f
 
 
 class AlongPlan(NamedTuple):
-    """What is drawn of a plan."""
+    """Values of a plan along its path, for the chart."""
 
     plans: Plans
     scenario: Scenario
