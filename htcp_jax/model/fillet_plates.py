@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.path_frames import PathFrames
+from htcp_jax.model.surface import crossed
 from htcp_jax.model.workpiece import Workpiece
 
 SAME_PLATE_RAD = np.deg2rad(3)
@@ -92,17 +93,10 @@ def _cuts(
         height = (corners - centre) @ along
         above = height >= 0
         cut = above.any(axis=1) & ~above.all(axis=1)
-        own, up = corners[cut], height[cut]
-        alone = np.where(above[cut].sum(axis=1) == 1, above[cut].argmax(axis=1), (~above[cut]).argmax(axis=1))
-        rows = np.arange(len(own))
-        ends = []
-        for step in (1, 2):  # the edges from the corner that is alone on its side
-            other = (alone + step) % 3
-            part = up[rows, alone] / (up[rows, alone] - up[rows, other])
-            ends.append(own[rows, alone] + part[:, None] * (own[rows, other] - own[rows, alone]))
-        lengths.append(_length_within(ends[0] - centre, ends[1] - centre, radius_m))
+        ends = crossed(corners[cut], height[cut], above[cut])[1]
+        lengths.append(_length_within(ends[:, 0] - centre, ends[:, 1] - centre, radius_m))
         normals.append(facing[cut])
-        away.append(ends[0] - point)
+        away.append(ends[:, 0] - point)
     across = np.concatenate(normals)
     across -= (across @ along)[:, None] * along
     size, length = np.linalg.norm(across, axis=1), np.concatenate(lengths)

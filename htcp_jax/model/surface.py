@@ -112,6 +112,23 @@ def pieces(triangles: Triangles, edge_m: float, source: str) -> Float[np.ndarray
     return np.ascontiguousarray(np.moveaxis(np.concatenate(done, axis=2), 2, 0))
 
 
+def crossed(
+    triangles: Triangles, height: Float[np.ndarray, "F 3"], above: Bool[np.ndarray, "F 3"]
+) -> tuple[Triangles, Float[np.ndarray, "F 2 3"]]:
+    """Return triangles that a plane cuts, and the two points at which their edges cross it.
+
+    Args:
+        triangles: The triangles [m]. Each is returned from the corner on that is alone on its side of the plane.
+        height: Distances of their corners from the plane [m].
+        above: True for corners on one side of the plane.
+    """
+    alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
+    turn = (alone[:, None] + np.arange(3)) % 3
+    turned, height = np.take_along_axis(triangles, turn[..., None], 1), np.take_along_axis(height, turn, 1)
+    share = height[:, :1] / (height[:, :1] - height[:, 1:])
+    return turned, turned[:, :1] + share[..., None] * (turned[:, 1:] - turned[:, :1])
+
+
 def nearest_share(off: Float[np.ndarray, "*#r d"], along: Float[np.ndarray, "*#r d"]) -> Float[np.ndarray, "*s"]:
     """Return the places on segments that are nearest to points, as shares of the segments.
 

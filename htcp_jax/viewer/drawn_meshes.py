@@ -75,13 +75,10 @@ def cut_triangles(
     over = triangles @ normal - offset
     count = (over > 0).sum(axis=1)
     parts = [triangles[count == 0]]
-    for most in (1, 2):  # number of removed corners; the corner that is alone on its side comes first
-        own, height = triangles[count == most], over[count == most]
-        alone = (height if most == 1 else -height).argmax(axis=1)
-        turn = (alone[:, None] + np.arange(3)) % 3
-        own, height = np.take_along_axis(own, turn[..., None], 1), np.take_along_axis(height, turn, 1)
-        share = height[:, :1] / (height[:, :1] - height[:, 1:])
-        b, c = np.moveaxis(own[:, :1] + share[..., None] * (own[:, 1:] - own[:, :1]), 1, 0)
+    for most in (1, 2):  # number of removed corners
+        cut = count == most
+        own, ends = surfaces.crossed(triangles[cut], over[cut], over[cut] > 0)
+        b, c = np.moveaxis(ends, 1, 0)
         if most == 1:
             parts += [np.stack([b, own[:, 1], own[:, 2]], axis=1), np.stack([b, own[:, 2], c], axis=1)]
         else:
