@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 import toy
+from small_run import edit_manifest
 
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -75,6 +77,36 @@ def test_a_run_has_a_table_of_its_shards_with_their_times(here, full):
     ]
     assert (shards.run_s > 0).all() and shards.run_s.sum() == run.manifest.seconds["baseline"].run_s
     assert shards.device[0].startswith("cpu") and shards.package.isna().all()
+
+
+def test_the_times_of_scenarios_are_shares_of_their_shard_s_by_attempted_targets(here, full):
+    def stated(run):
+        return run.frame("times"), run.frame("shards"), run.plans("baseline")
+
+    times, shards, plans = stated(full)
+    assert times.attempted.tolist() == plans.attempted.sum(axis=1).tolist() and {*times.together} == {9}
+    for name in ("run_s", "cpu_s"):
+        assert times[name].sum() == pytest.approx(shards[name].sum()) and (times[name] > 0).all()
+        assert (times[name] / times.attempted).values == pytest.approx(shards[name].sum() / times.attempted.sum())
+    assert plans.cpu_s == shards.cpu_s.sum() and {*times.seed} == {full.manifest.seed}
+    alone, shards, _ = stated(sweep(GRID, "baseline", here / "alone", shard_scenarios=1))
+    assert {*alone.together} == {1} and alone.run_s.tolist() == shards.run_s.tolist()
+    assert open_run(here / "alone").scenarios().equals(full.scenarios())
+
+
+def test_a_seed_that_varies_is_a_column_of_the_times(here):
+    run = sweep(GRID | {"grid": [{"settings.seed": [4, 7]}]}, "baseline", here / "run")
+    assert run.frame("times").seed.tolist() == [4, 7]
+
+
+def test_a_run_of_an_older_version_has_no_processor_time(here, full):
+    def drop(manifest):
+        for record in (*manifest["shards"], *manifest["seconds"].values()):
+            del record["cpu_s"]
+
+    edit_manifest(full.folder, drop)
+    run = open_run(full.folder)
+    assert run.frame("times").cpu_s.isna().all() and np.isnan(run.plans("baseline").cpu_s)
 
 
 def test_a_stopped_sample_is_resumed(here, full):

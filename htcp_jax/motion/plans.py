@@ -132,6 +132,7 @@ class Plans(NamedTuple):
     # First targets of the second and of each later seam, in all scenarios; the segments to them are transfers
     seam_begins: tuple[int, ...] = ()
     retract: Retract | None = None  # the motion from the last seam back to the start; None: all of the motion reversed
+    cpu_s: float = 0.0  # processor time of all threads and processes, without `Execution.warm_up` [s]; NaN: unknown
 
     @classmethod
     def empty(
@@ -159,7 +160,7 @@ class Plans(NamedTuple):
 
     @classmethod
     def concatenate(cls, parts: "Sequence[Plans]") -> "Plans":
-        """Return the plans of all parts in one table; their T may differ. `compile_s` and `run_s` are added up."""
+        """Return the plans of all parts in one table; their T may differ. Times are added up."""
         longest = max(part.status.shape[1] for part in parts)
         wide = [part.widened(longest).arrays() for part in parts]
         rows = [len(part.status) for part in parts]
@@ -171,6 +172,7 @@ class Plans(NamedTuple):
             run_s=sum(part.run_s for part in parts),
             dead_ends=consecutive([part.dead_ends for part in parts], rows),
             seam_begins=parts[0].seam_begins,
+            cpu_s=sum(part.cpu_s for part in parts),
         )
 
     @property
@@ -235,7 +237,7 @@ class Plans(NamedTuple):
         return np.where(first[..., None], self.start[scenario], self.x[scenario, np.maximum(target, 1) - 1])
 
     def rows(self, which: slice | np.ndarray | Sequence[int]) -> "Plans":
-        """Return the plans of some scenarios; `compile_s` and `run_s` remain those of all scenarios."""
+        """Return the plans of some scenarios; times remain those of all scenarios."""
         numbers = np.arange(len(self.status))[which]
         kept: dict[str, Any] = {name: array[which] for name, array in self.arrays().items()}
         return self._replace(**kept, via_points=self.via_points.rows(numbers), dead_ends=self.dead_ends.rows(numbers))
@@ -286,7 +288,7 @@ class Plans(NamedTuple):
         return np.pad(array, [(0, 0), (0, more)] + [(0, 0)] * (array.ndim - 2), constant_values=EMPTY[name])
 
 
-_OTHERS = "via_points", "compile_s", "run_s", "dead_ends", "seam_begins", "retract"
+_OTHERS = "via_points", "compile_s", "run_s", "dead_ends", "seam_begins", "retract", "cpu_s"
 ARRAYS = tuple(name for name in Plans._fields if name not in _OTHERS)
 
 # Values of targets that a scenario does not have; targets that were not attempted differ only in their status.

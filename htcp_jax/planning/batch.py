@@ -65,15 +65,16 @@ def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Pr
     with compute_devices.on(problem.devices[0]):
         if problem.processes > 1 and methods.is_shared(chosen) and (shared := _shared_part(problem)):
             return _spread(problem, chosen, shared, progress)
-        began, waited_s = time.perf_counter(), _waited_s(problem)
+        began, began_cpu, waited_s = time.perf_counter(), time.process_time(), _waited_s(problem)
         plans = repeated_targets.planned(partial(_planned_places, chosen), problem)
         compile_s = plans.compile_s + _waited_s(problem) - waited_s
         spent = problem.prepared_s + time.perf_counter() - began
-        return plans._replace(compile_s=compile_s, run_s=spent - compile_s)
+        cpu_s = time.process_time() - began_cpu - plans.cpu_s
+        return plans._replace(compile_s=compile_s, run_s=spent - compile_s, cpu_s=cpu_s)
 
 
 def _planned_places(method: Method, problem: Problem) -> Plans:
-    """Return the plans of a problem without repeated targets. Of the times, they have that of `Execution.warm_up`."""
+    """Return the plans of a problem without repeated targets; their times are those of `Execution.warm_up`."""
     calls = method.warm_up(problem).first if len(problem.to_plan) else ()
     with _compiling(problem, calls) as compilations:
         if problem.check_starts:
@@ -81,9 +82,9 @@ def _planned_places(method: Method, problem: Problem) -> Plans:
         problem, from_home = leave_home(problem)
         if problem.check_starts:
             start_cause.refuse_standing_overlaps(problem)
-        compile_s = _warm_up(problem)  # now it is known whether any scenario has a start
+        compile_s, cpu_s = _warm_up(problem)  # now it is known whether any scenario has a start
         plans = inserted_goals.planned(partial(_planned_rows, method, from_home), problem)
-        return plans._replace(compile_s=plans.compile_s + compile_s)
+        return plans._replace(compile_s=plans.compile_s + compile_s, cpu_s=cpu_s)
 
 
 def _planned_rows(
@@ -121,17 +122,18 @@ def _compiling(problem: Problem, calls: Sequence[tuple]) -> Iterator[list[Future
         yield [compilation for own in begun for compilation in own]
 
 
-def _warm_up(problem: Problem) -> float:
-    """Compile the executables of `Execution.warm_up` on all cores, and return the time that this takes [s]."""
+def _warm_up(problem: Problem) -> tuple[float, float]:
+    """Compile the executables of `Execution.warm_up` on all cores; return the wall and processor time it takes [s]."""
     if not (problem.execution.warm_up and len(problem.to_plan)):
-        return 0.0
-    began, found = time.perf_counter(), [methods.find(name).warm_up(problem) for name in problem.execution.warm_up]
+        return 0.0, 0.0
+    began, began_cpu = time.perf_counter(), time.process_time()
+    found = [methods.find(name).warm_up(problem) for name in problem.execution.warm_up]
     calls = {call[0]: call for each in found for call in each.hard}
     calls |= {call[0]: call for each in found for call in each.first}
     with _compiling(problem, list(calls.values())) as compilations:
         while wait(compilations, REPORT_S).not_done:
             problem.progress(0, 0)
-    return time.perf_counter() - began
+    return time.perf_counter() - began, time.process_time() - began_cpu
 
 
 def _waited_s(problem: Problem) -> float:
@@ -153,8 +155,8 @@ def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable 
     """Return plans from other processes; `compile_s` is the time to start these plus their mean compilation time."""
     scenarios, on_cpu, warm_up_s = problem.scenarios, problem.devices[0].platform == "cpu", 0.0
     if on_cpu and cache_folder.folder():  # the other processes load what this one stores
-        warm_up_s = _warm_up(problem)
-    began, count, workers = time.perf_counter(), len(scenarios.number), problem.workers
+        warm_up_s, _ = _warm_up(problem)
+    began, began_cpu, count, workers = time.perf_counter(), time.process_time(), len(scenarios.number), problem.workers
     # a GPU is faster with one large part
     rows = worker_processes.shares(count, len(workers), worker_processes.MOST_TOGETHER if on_cpu else count)
     parts = [tables.gather(scenarios, own) for own in rows]
@@ -167,7 +169,8 @@ def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable 
     found, start_s = worker_processes.spread(workers, call, shared, parts, progress and report, ready)
     plans = Plans.concatenate(found).rows(np.argsort(np.concatenate(rows)))
     compile_s = start_s + plans.compile_s / min(len(workers), len(parts))
-    return plans._replace(compile_s=compile_s + warm_up_s, run_s=time.perf_counter() - began - compile_s)
+    run_s, cpu_s = time.perf_counter() - began - compile_s, plans.cpu_s + time.process_time() - began_cpu
+    return plans._replace(compile_s=compile_s + warm_up_s, run_s=run_s, cpu_s=cpu_s)
 
 
 def _plan_part(method: str, notify: Callable, given: tuple, how: dict[str, Any], scenarios: Scenario) -> Plans:

@@ -1,5 +1,6 @@
 """Schema of manifest.json in a run folder: the run's identity, and its finished files."""
 
+import math
 import re
 from collections.abc import Collection, Sequence
 from itertools import groupby, pairwise
@@ -38,6 +39,7 @@ class ShardRecord(strict_model.FileSection):
     tracked: Count  # number of tracked targets
     compile_s: float  # compilation time
     run_s: float  # planning time without compilation
+    cpu_s: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None  # processor time, see `Plans`
     planned_by: Count  # index in the manifest's list `planned_by`
     targets: FileRecord
     scenarios: FileRecord
@@ -55,10 +57,20 @@ class ShardRecord(strict_model.FileSection):
 
 
 class Seconds(strict_model.FileSection):
-    """Total compilation time and planning time of one method [s]."""
+    """Total compilation time, planning time and processor time of one method [s]."""
 
     compile_s: float = 0.0
     run_s: float = 0.0
+    cpu_s: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None  # None: unknown
+
+    @property
+    def of_plans(self) -> dict[str, float]:
+        """The times as fields of `Plans`."""
+        return {
+            "compile_s": self.compile_s,
+            "run_s": self.run_s,
+            "cpu_s": math.nan if self.cpu_s is None else self.cpu_s,
+        }
 
 
 class Manifest(strict_model.FileSection):

@@ -45,22 +45,13 @@ from htcp_jax.runs.manifest import (
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.summary import summarise
 from htcp_jax.runs.tables import empty_tables, plans_of, table_frame
+from htcp_jax.runs.times import shard_table, time_table
 from htcp_jax.runs.timing_file import Timing, read_timing, with_timing
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files as io_files
 
 if TYPE_CHECKING:
     import pandas
-
-METHOD_NOUN = "method"  # of the keys of `Manifest.plugins` that name methods
-SHARDS = pa.schema(
-    [
-        ("method", pa.string()),
-        *((name, pa.int64()) for name in ("first", "last", "scenarios", "targets", "tracked")),
-        *((name, pa.float64()) for name in ("run_s", "compile_s")),
-        *((name, pa.string()) for name in ("device", "commit", "package")),
-    ]
-)
 
 
 class Run:
@@ -93,17 +84,17 @@ class Run:
         """Return one of the run's tables as a pandas frame.
 
         Args:
-            table: "scenarios", "targets" or "shards".
+            table: "scenarios", "targets", "shards" or "times".
             *methods: Names of methods; without names, all methods.
 
         Raises:
             InputError: See `targets`; also if the table is unknown or pandas is not installed.
         """
-        if table not in (*TABLES, "shards"):
-            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets, shards")
+        if table not in (*TABLES, "shards", "times"):
+            raise InputError(f"a run has no table {table!r}; valid: scenarios, targets, shards, times")
         if table == "shards":
             return table_frame((self.only(methods) if methods else self).shards())
-        return table_frame(self.scenarios(*methods) if table == "scenarios" else self.targets(*methods))
+        return table_frame(getattr(self, table)(*methods))
 
     def only(self, methods: Collection[str]) -> "Run":
         """Return the run of some of its methods; names of other methods are ignored."""
@@ -182,26 +173,21 @@ class Run:
         return with_timing(self.folder, self.manifest.shards, self._read("scenarios", methods))
 
     def shards(self) -> pa.Table:
-        """Return one row per finished shard: its scenarios, its times, and what planned it.
+        """Return one row per finished shard: its scenarios, its times, and what planned it; see `times.shard_table`."""
+        return shard_table(self.manifest)
 
-        The scenarios of a shard are planned together, so times of single scenarios are unknown: `run_s` is the wall
-        time of planning, without `compile_s`, the wall time of compilation [s]. `package` is the installed package and
-        version of a method that is not built in. The times are in manifest.json only, so that equal plans give equal
-        tables.
+    def times(self, *methods: str) -> pa.Table:
+        """Return one row per method and scenario: its share of the planning time, its seed, and the method's package.
+
+        See `times.time_table`.
+
+        Args:
+            *methods: Names of methods; without names, all methods.
+
+        Raises:
+            InputError: See `targets`.
         """
-        manifest, rows = self.manifest, []
-        for shard in manifest.shards:
-            by = manifest.planned_by[shard.planned_by]
-            rows.append(
-                {
-                    **shard.model_dump(include={"method", "first", "last", "tracked", "run_s", "compile_s"}),
-                    "scenarios": shard.scenarios.rows,
-                    "targets": shard.targets.rows,
-                    **{name: by.get(name) for name in ("device", "commit")},
-                    "package": manifest.plugins.get(f"{METHOD_NOUN} {shard.method}"),
-                }
-            )
-        return pa.Table.from_pylist(rows, SHARDS)
+        return time_table(self.manifest, self._read("scenarios", methods))
 
     def timing(self, method: str) -> Timing | None:
         """Return the times of a method; None if the method has not been timed.
@@ -219,12 +205,10 @@ class Run:
         Raises:
             InputError: See `targets`.
         """
-        rows, seconds = (
-            (self.targets(method), self._read("scenarios", (method,))),
-            self.manifest.seconds.get(method, Seconds()),
-        )
+        rows = self.targets(method), self._read("scenarios", (method,))
+        seconds = self.manifest.seconds.get(method, Seconds()).of_plans
         try:
-            return plans_of(*rows, self.manifest.rows, self.manifest.joints, seconds.compile_s, seconds.run_s)
+            return plans_of(*rows, self.manifest.rows, self.manifest.joints, seconds)
         except (IndexError, KeyError, ValueError) as error:
             raise InputError(f"{self.folder}: the rows of {method} do not belong to this run: {error}") from None
 

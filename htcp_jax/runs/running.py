@@ -42,7 +42,7 @@ class RunningSummary:
         if run.manifest.scenarios is not None or (known := self._known(run, method)) is None:
             return run.plans(method)
         seconds = run.manifest.seconds.get(method, Seconds())
-        return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.model_dump())
+        return Plans.concatenate([shard.plans for shard in known])._replace(**seconds.of_plans)
 
     def margins_m(self, run: Run, *methods: str) -> np.ndarray:
         """Return the distinct required clearances of the scenarios that the methods have planned, sorted [m].

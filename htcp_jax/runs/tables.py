@@ -213,7 +213,7 @@ def empty_tables(joints: Sequence[str], varied: Sequence[str] = ()) -> dict[str,
 
 
 def plans_of(
-    targets: pa.Table, scenarios: pa.Table, count: int, joints: Sequence[str], compile_s: float, run_s: float
+    targets: pa.Table, scenarios: pa.Table, count: int, joints: Sequence[str], seconds: Mapping[str, float]
 ) -> Plans:
     """Return the plans of scenarios 0 to `count` - 1 from one method's rows in both tables.
 
@@ -224,8 +224,7 @@ def plans_of(
         scenarios: Rows of the method in the table of scenarios.
         count: Number of scenarios.
         joints: Names of the columns of x, see `joint_columns`.
-        compile_s: Compilation time, for `Plans.compile_s`.
-        run_s: Planning time, for `Plans.run_s`.
+        seconds: Times of the method, by field of `Plans` [s].
 
     Raises:
         IndexError: If a row has an invalid scenario or target, or if there are too few rows for these numbers.
@@ -238,7 +237,7 @@ def plans_of(
     if reason := sparse(count, int(t.max(initial=-1)) + 1, len(targets)):
         raise IndexError(reason)
     blank = np.full((count, int(t.max(initial=-1)) + 1, 3), plan_arrays.EMPTY["target"])
-    plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(compile_s=compile_s, run_s=run_s)
+    plans = Plans.empty(_starts(scenarios, count, joints), blank, 0)._replace(**seconds)
     for name, column in READ.items():
         getattr(plans, name)[s, t] = _numpy(targets[column], plan_arrays.EMPTY[name])
     plans.segment_status[s, t] = [SEGMENT_STATUSES[name] for name in targets["segment_status"].to_pylist()]

@@ -1,6 +1,7 @@
 """Writing of a run folder: begin or continue the run, then add shard by shard. The caller must lock the folder."""
 
 import hashlib
+import math
 import warnings
 from collections import defaultdict
 from collections.abc import Sequence
@@ -91,10 +92,10 @@ def add(run: Run, method: str, scenarios: Sequence[int], tables: dict[str, pa.Ta
     rows = {table: described(own, table, manifest.joints, made) for table, own in tables.items()}
     files = {table: _write_parquet(run.folder, table, name, own) for table, own in rows.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
-    tracked = int(plans.tracked.sum())
+    tracked, known = int(plans.tracked.sum()), None if math.isnan(plans.cpu_s) else plans.cpu_s
     shard = ShardRecord(
         method=method, first=first, last=last, numbers=numbers if gaps else None, tracked=tracked,
-        compile_s=plans.compile_s, run_s=plans.run_s, planned_by=planned_by.index(by), **files,
+        compile_s=plans.compile_s, run_s=plans.run_s, cpu_s=known, planned_by=planned_by.index(by), **files,
     )  # fmt: skip
     run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)
     return _write_manifest(_with_shards(run, (*manifest.shards, shard)))
@@ -154,7 +155,9 @@ def _with_shards(run: Run, shards: tuple[ShardRecord, ...]) -> Run:
     seconds = {}
     for method in run.methods:
         own = [shard for shard in shards if shard.method == method]
-        seconds[method] = Seconds(compile_s=sum(s.compile_s for s in own), run_s=sum(s.run_s for s in own))
+        known = None if any(s.cpu_s is None for s in own) else sum(s.cpu_s for s in own)
+        wall = {"compile_s": sum(s.compile_s for s in own), "run_s": sum(s.run_s for s in own)}
+        seconds[method] = Seconds(**wall, cpu_s=known)
     order = tuple(sorted(shards, key=lambda shard: (run.methods.index(shard.method), shard.first)))
     return Run(run.folder, run.manifest.model_copy(update={"shards": order, "seconds": seconds}), run._keep)
 
