@@ -22,7 +22,7 @@ from .proving.file_proof import FileProof, prove_file
 from .proving.prove import MotionProof, prove
 from .report import charts
 from .report.reach_study import reach_study
-from .report.report import make_report
+from .report.report import chart, make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
 from .spec.obstacle_kind import ObstacleKind, ObstacleShape
@@ -55,6 +55,7 @@ __all__ = [
     "axis_of",
     "capsule_point_distance",
     "capsule_segments",
+    "chart",
     "charts",
     "clearance",
     "clearances",

@@ -9,6 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from htcp_jax.report import charts
+from htcp_jax.report.charts import style
 from htcp_jax.report.charts.along_path import REASONS
 from htcp_jax.report.charts.style import INK, LINES, PAPER, ink_on, line_of, spread_labels
 from htcp_jax.report.document import png
@@ -154,6 +155,24 @@ def test_a_method_of_your_own_has_a_line_that_no_other_has():
     lines = {line_of(method) for method in own}
     assert len(lines) == len(own) and not lines & set(LINES.values())
     assert len({colour for colour, _ in lines}) == len(own) and line_of("mine") == line_of("mine")
+
+
+def test_colours_of_methods_of_your_own_are_far_from_all_others(monkeypatch):
+    """Distances of colours in CIELAB; 2.3 is just noticeable (regression: two methods with one colour)."""
+    monkeypatch.setattr(style, "_OTHERS", {})
+    for count, least in ((8, 20), (30, 8), (100, 2.3)):
+        colours = [line_of(f"planner-{k}")[0] for k in range(count)]
+        values = np.array([style._lab(each) for each in (*colours, *(colour for colour, _ in LINES.values()))])
+        apart = np.linalg.norm(values[:count, None] - values[None], axis=-1)
+        assert (apart[apart > 0].min() >= least) and (apart == 0).sum() == count
+
+
+@pytest.mark.parametrize("least", [1e-10, 1e-3])
+def test_a_clearance_of_nearly_zero_does_not_stretch_the_axis_and_the_note_names_the_edge(least):
+    figure = charts.clearance_along({"baseline": np.array([[least, 0.01, np.nan]])})
+    assert figure.axes[0].get_ylim()[0] > 5e-4 and ("at the lower edge" in texts(figure)) == (1e3 * least < 1e-3)
+    steps = charts.joint_motion({"baseline": np.array([[1e-12, 1e-12, 0.01, 0.1]])})
+    assert min(axes.get_ylim()[0] if axes.get_yscale() == "log" else axes.get_xlim()[0] for axes in steps.axes) > 5e-6
 
 
 def test_labels_are_spread_in_their_order_and_stay_inside_where_there_is_room():

@@ -14,6 +14,7 @@ import yaml
 from hand_made import plans_with
 from markdown_it import MarkdownIt
 
+import htcp_jax
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.grid import load_sweep
@@ -25,9 +26,10 @@ from htcp_jax.report import Table, make_report, paper, tables, write_report
 from htcp_jax.report.best import best_scenarios
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.chapter import answer, chapter, choice, part_facts, tables_of
-from htcp_jax.report.document import Heading, Picture, html, markdown
+from htcp_jax.report.document import Heading, Picture, html, markdown, png
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.motions import meaning, motion_table
+from htcp_jax.report.part_charts import charts_of
 from htcp_jax.report.report import Report, overview
 from htcp_jax.runs import Column, Run, columns, open_run
 from htcp_jax.runs.manifest import MANIFEST
@@ -125,7 +127,10 @@ def test_no_script_in_the_name_of_a_run_runs_in_its_report(folder, tmp_path, bro
     page = browser.new_page()
     page.goto((tmp_path / "report.html").as_uri())
     assert page.locator("h1").inner_text() == f"Sweep report: {name}"
-    assert page.locator("[src=x], [onerror], script, a").count() == 0 and page.evaluate("window.owned") is None
+    assert (
+        page.locator("[src=x], [onerror], script, a:not([href^='#section-'])").count() == 0
+        and page.evaluate("window.owned") is None
+    )
     page.close()
 
 
@@ -465,7 +470,7 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
     assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +13 +49", output.out) and output.err == ""
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 9
-    assert not re.search(r"<script|src=\"(?!data:)|href=|url\(|@import", page)
+    assert not re.search(r"<script|src=\"(?!data:)|href=\"(?!#)|url\(|@import", page)
     text = (tmp_path / "report" / "report.md").read_text()
     pictures = re.findall(r"!\[.+\]\((.+)\)", text)
     assert len(pictures) == 9 and all((tmp_path / "report" / name).stat().st_size for name in pictures)
@@ -475,7 +480,7 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
     assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
         "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "pairs.csv", "paper.csv", "results.csv",
-        "scenarios.csv", "stops.csv", "times.csv",
+        "scenarios.csv", "spread.csv", "stops.csv", "success.csv", "times.csv",
     ]  # fmt: skip
 
 
@@ -535,7 +540,95 @@ def test_compilation_has_a_row_of_its_own_as_methods_share_programs(folder):
     assert [row["method"] for row in methods] == list(part.plans)
     assert [row["run_s"] for row in methods] == [plans.run_s for plans in part.plans.values()]
     assert all(row["compile_s"] is None for row in methods) and last["run_s"] is None
-    assert last == {"method": "all methods", "run_s": None, "compile_s": sum(p.compile_s for p in part.plans.values())}
+    compile_s = sum(p.compile_s for p in part.plans.values())
+    assert last == {"method": "all methods", "run_s": None, "cpu_s": None, "compile_s": compile_s}
+
+
+def wilson(k: int, n: int, sign: int) -> float:
+    """Bound of the 95 % confidence interval of a rate in percent; Wilson (1927)."""
+    z, p = 1.959963984540054, k / n
+    return 100 * (p + z * z / (2 * n) + sign * z * ((p * (1 - p) + z * z / (4 * n)) / n) ** 0.5) / (1 + z * z / n)
+
+
+def test_rates_of_scenarios_have_the_interval_of_wilson(folder):
+    records = tables_of(part_of(folder, "poses"))["success"].records()
+    rows = {(row["method"], row["criterion"]): row for row in records}
+    driven = "executable to the last target"
+    for key, k in {("baseline", "complete"): 13, ("baseline", driven): 0, ("hybrid", driven): 49}.items():
+        row = rows[key]
+        assert (row["scenarios"], row["planned"], row["rate_percent"]) == (k, 49, pytest.approx(100 * k / 49))
+        bounds = [row[f"rate_{end}_percent"] for end in ("low", "high")]
+        assert bounds == pytest.approx([wilson(k, 49, sign) for sign in (-1, 1)], abs=1e-9)
+
+
+def test_quartiles_are_over_scenarios_and_motion_and_times_of_those_that_have_them(folder):
+    part = part_of(folder, "poses")
+    base, hybrid = tables_of(part)["spread"].records()
+    executable = 100 * part.plans["baseline"].executable.sum(axis=1) / 105
+    assert [base[f"executable_{q}_percent"] for q in ("q1", "median", "q3")] == np.quantile(
+        executable, (0.25, 0.5, 0.75)
+    ).tolist()
+    motion = part.plans["hybrid"].joint_step.sum(axis=1)
+    assert hybrid["joint_motion_median_rad"] == np.median(motion) and base["joint_motion_median_rad"] is None
+    attempted = part.plans["baseline"].attempted.sum(axis=1)
+    assert base["planning_q3_ms"] == pytest.approx(1e3 * np.quantile(attempted / attempted.sum(), 0.75))  # of 1 s
+    assert "cycle_q1_s" not in base
+
+
+def test_the_paper_s_values_stand_next_to_a_part_of_its_scenarios_with_a_sentence(folder, tmp_path):
+    spec = load_sweep(folder / "poses.yaml")
+    run = keep_plans(spec, {"baseline": by_hand(spec.batch().scenarios, "baseline")}, tmp_path / "run", 7)
+    some = {"count": 14, "limit": 14, "shards": run.manifest.shards[:2], "targets": 14 * 105}
+    (run.folder / MANIFEST).write_text(run.manifest.model_copy(update=some).model_dump_json())
+    report = make_report(run.folder)
+    (part,) = report.parts
+    assert part.paper_table is paper.WORKPIECE and len(part.numbers) == 14
+    assert report.frame("paper").paper_success_percent.tolist() == [39.16]
+    assert "The paper's values are for all 49 scenarios, ours for 14 of them." in markdown(report.blocks)
+
+
+def test_one_chart_is_drawn_without_the_rest_of_the_report(folder, monkeypatch):
+    monkeypatch.setattr(OpenedScene, "picture", None)  # the picture of the cell would fail
+    drawn = htcp_jax.chart(folder / "poses", "map")
+    assert png(drawn) == png(report_of(folder, "poses").figures["map"])
+    runs = [folder / "groups", folder / "one"]
+    assert htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "tracked targets [%]"
+    with pytest.raises(InputError, match=r"no chart 'sucess'; did you mean success\?"):
+        htcp_jax.chart(folder / "poses", "sucess")
+
+
+def test_every_chart_of_a_report_is_drawn_by_its_name(folder):
+    known = {name for name in report_of(folder, "four").figures if name != "cell"}
+    assert known == {*charts_of(part_of(folder, "four"))} and len(known) == 9
+
+
+def test_methods_with_equal_results_share_a_sentence(folder):
+    part = part_of(folder, "poses")
+    both = replace(
+        part, plans=part.plans | {"beam": part.plans["hybrid"]}, motions=part.motions | {"beam": part.motions["hybrid"]}
+    )
+    assert "49 of 49 scenarios by hybrid and beam (guaranteed" in answer(both)
+
+
+def test_the_page_s_contents_lead_to_its_sections(folder, tmp_path, browser):
+    report = report_of(folder, "poses", "one")
+    write_report(report, tmp_path)
+    page = browser.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    texts = page.locator("nav a").all_inner_texts()
+    assert texts == [block.text for block in report.blocks if isinstance(block, Heading) and block.level in (2, 3)]
+    for link in page.locator("nav a").all():
+        assert page.locator(f"{link.get_attribute('href')}:text-is('{link.inner_text()}')").count() == 1
+    page.close()
+
+
+@pytest.mark.parametrize("width", [400, 700, 1200])
+def test_no_table_is_wider_than_the_page(folder, tmp_path, browser, width):
+    write_report(report_of(folder, "poses"), tmp_path)
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto((tmp_path / "report.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
 
 
 def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_next_to_it(folder):

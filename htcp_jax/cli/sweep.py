@@ -83,8 +83,8 @@ def sweep(
     Writes a run folder: manifest.json and Parquet files, with one row per method, scenario and target in targets/, and
     one per method and scenario in scenarios/. Repeat the command to resume an interrupted run; you may add methods and
     raise --limit, or plan more scenarios after --scenarios or --sample. Scenarios keep their numbers and their results,
-    and a larger sample includes the smaller ones. With --feed, or program.feed in the job, complete motions are timed,
-    as by htcp program.
+    and a larger sample includes the smaller ones. With --feed, or program.feed in the job, motions to the last target
+    are timed, as by htcp program.
 
     Exit codes: 0 if everything is planned, 1 if the workers of a cluster are lost, 2 on bad input, 130 or 143 after a
     signal; finished work is kept.

@@ -4,11 +4,12 @@ from .document import Table
 from .place_pictures import draw_search
 from .plan_report import report_of_plan
 from .proof_picture import draw_proof
-from .report import make_report, report_record, write_report
+from .report import chart, make_report, report_record, write_report
 from .tables import compilation_row, result_row
 
 __all__ = [
     "Table",
+    "chart",
     "charts",
     "compilation_row",
     "draw_proof",

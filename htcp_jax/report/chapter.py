@@ -1,32 +1,29 @@
 """Chapter of the report on one part of a run: sentences, tables and charts."""
 
+import itertools
 import math
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from htcp_jax.jobs import load_config
-from htcp_jax.motion import Plans, motion
-from htcp_jax.report import charts, paper, tables
+from htcp_jax.motion import motion
+from htcp_jax.report import paper, tables
 from htcp_jax.report.best import best_of_all, best_scenarios
 from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
-from htcp_jax.report.timing import feed_targets, timing, timing_section
+from htcp_jax.report.part_charts import charts_of, numbered_values
+from htcp_jax.report.spread import MEANING as SUCCESS_MEANING
+from htcp_jax.report.spread import meaning_of_spread, spread, success
+from htcp_jax.report.timing import TIMED, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.runs import columns, summary
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-MOST_SLICES = 9  # maximum number of maps side by side
 UNITS = "rad", "m"
-OF_TASK = "task."  # prefix of task parameters; the report draws success and reachability over each of them
 BLOCKED = (
     "A joint step is blocked if the straight joint path from the previous configuration collides; not every planner "
     "checks this. Tracked before it: the tracked targets before each scenario's first blocked step."
@@ -45,8 +42,10 @@ BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated d
 
 TABLES = (
     tables.results,
+    success,
     tables.pairs,
     tables.paper,
+    spread,
     best_scenarios,
     tables.reachability_table,
     tables.reach_table,
@@ -74,33 +73,48 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         prefix: Prefix of the pictures' names.
         level: Level of the headings.
     """
+    drawn = charts_of(part)
+
+    def picture(name: str) -> Picture:
+        return drawn[name].picture(f"{prefix}{name}")
+
     return [
         answer(part),
         *part_facts(part),
         Heading(level, "Results"),
         made["results"],
         *_notes_on_results(part),
+        made["success"],
+        SUCCESS_MEANING,
         *_next_to_the_best(made["pairs"]),
         *_next_to_the_paper(part, made["paper"], level + 1),
         *_reachability_blocks(part, made["reachability"]),
         *_reach_blocks(part, made["reach"], prefix),
-        Picture(f"{prefix}success", _success(part, made), f"Success of each method on {part.name}"),
-        *_maps(part, prefix),
+        picture("success"),
+        *numbered_values(part),
+        *(each.picture(f"{prefix}{name}") for name, each in drawn.items() if each.over_grid),
+        *(() if part.axes else ["The scenarios do not differ in any parameter."]),
+        made["spread"],
+        meaning_of_spread(part),
         Heading(level, "Best scenarios"),
         *best_of_all(part, made["best"], prefix),
         Heading(level, "Motions"),
         made["motions"],
         meaning(part),
         *_motion_ends(made["motion-ends"]),
-        *timing_section(part, made["timing"], prefix, level),
+        *timing_section(part, made["timing"], level),
+        *(picture(name) for name in TIMED if name in drawn),
         Heading(level, "Failures"),
-        *_end_blocks(part, made["stops"], prefix),
+        picture("survival"),
+        *(picture(name) for name in ("stops",) if name in drawn),
+        *_end_blocks(part, made["stops"]),
         Heading(level, "Clearance and joint motion"),
-        _clearance_picture(part, prefix),
-        *_manipulability_blocks(part, prefix),
+        picture("clearance"),
+        *((picture("manipulability"), MANIPULABILITY) if "manipulability" in drawn else ()),
         made["joint-steps"],
         BLOCKED,
-        *_motion_pictures(part, prefix),
+        picture("joint-motion"),
+        picture("joints"),
         *validation_section(part.validation, part.run.labels(), level),
         Heading(level, "Time"),
         f"For the complete run, on {_device(part)}.",
@@ -123,8 +137,10 @@ def answer(part: Part) -> str:
     planned = int(part.plans[found[0][1]].outcomes.planned.sum())
     of, at_least = f" of {planned:,} scenarios", "guaranteed clearance at least "
     words = []
-    for count, method, least in found:
-        words.append(f"{count:,}{of} by {method}" + (f" ({at_least}{least})" if least else ""))
+    for (count, least), alike in itertools.groupby(found, lambda each: (each[0], each[2])):
+        *others, last = [method for _, method, _ in alike]
+        by = f"{', '.join(others)} and {last}" if others else last
+        words.append(f"{count:,}{of} by {by}" + (f" ({at_least}{least})" if least else ""))
         of = at_least = ""
     return f"A proven motion leads to the last target in {', '.join(words)}."
 
@@ -153,7 +169,7 @@ def part_facts(part: Part) -> list[str]:
     unfinished = {m: sum(map(len, part.run.missing(m))) for m in part.run.methods}
     if any(unfinished.values()):
         text = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
-        lines.append(f"The run is not complete. Scenarios still to plan: {text}.")
+        lines.append(f"The run is not finished. Scenarios still to plan: {text}.")
     return lines
 
 
@@ -199,86 +215,13 @@ def presets() -> dict[str, PlanConfig]:
     return {f"{name}.yaml": load_config(examples.examples()[name]) for name in ("duct", "paper", "port")}
 
 
-def _success(part: Part, made: dict[str, Table]) -> "Figure":
-    rows = made["results"].records()
-    theirs = {row["method"]: row["paper_success_percent"] for row in made["paper"].records()}
-    whole = all(row["scenarios"] == len(part.numbers) for row in rows)
-    return charts.success(
-        {row["method"]: row["tracked"] for row in rows},
-        {row["method"]: row["targets"] for row in rows},
-        executable={row["method"]: row["executable"] for row in rows},
-        paper=theirs or None,
-        reachability=int(part.reachability.sum()) if part.reachability is not None and whole else None,
-    )
-
-
-def _maps(part: Part, prefix: str) -> list[Block]:
-    """Return charts of the results over the grid of parameters.
-
-    One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
-    means. Each parameter of the task is also drawn as a line.
-    """
-    names = list(part.axes)
-    axes = {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
-
-    def cells(count, chosen):
-        values = {m: _count_or_nan(plans, getattr(plans.outcomes, count)) for m, plans in part.plans.items()}
-        return {method: part.cells(own, chosen) for method, own in values.items()}
-
-    def picture(draw, chosen, name="map", **options):
-        given = cells("tracked", chosen), *(axes[each] for each in chosen), part.targets
-        figure = draw(*given, executable=cells("executable", chosen), **options)
-        return Picture(f"{prefix}{name}", figure, "Tracked targets of every scenario over the grid, by method")
-
-    def means(chosen):
-        name = f"map-{'-'.join(str(names.index(each) + 1) for each in chosen)}"
-        return picture(charts.success_map, chosen, name, note="Mean over the other axes.")
-
-    def line(name):
-        known = part.reachability
-        options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
-        if len(names) == 1:
-            return picture(charts.success_line, [name], **options)
-        options["title"] = f"Success over {axes[name].label}, means over the other axes"
-        return picture(charts.success_line, [name], f"along-{name.replace('.', '-')}", **options)
-
-    if not names:
-        return ["The scenarios do not differ in any parameter."]
-    along = [*_full_names(axes.values()), *(line(name) for name in names if name.startswith(OF_TASK))]
-    if len(names) == 1:
-        return along if names[0].startswith(OF_TASK) else [*along, line(names[0])]
-    if len(names) == 2:
-        return [*along, picture(charts.success_map, names)]
-    if len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        return [*along, picture(charts.success_slices, names)]
-    return [*along, means(names[:2]), *([means(names[-2:])] if len(names) > 3 else [])]
-
-
-def _full_names(axes: "Iterable[charts.Axis]") -> list[str]:
-    """Return sentences with the values that the charts number; empty if there are none."""
-    return [
-        f"In the charts, {axis.label} {', '.join(f'{name}: {value}' for name, value in axis.numbered.items())}."
-        for axis in axes
-        if axis.numbered
-    ]
-
-
-def _end_blocks(part: Part, table: Table, prefix: str) -> list[Block]:
-    statuses = {method: plans.status for method, plans in part.plans.items()}
-    executable = {method: plans.executable for method, plans in part.plans.items()}
-    figure = charts.survival(statuses, executable=executable, reachability=part.reachability)
-    survival = Picture(f"{prefix}survival", figure, "Number of scenarios that execute each target, by method")
+def _end_blocks(part: Part, table: Table) -> list[Block]:
     if not table.rows:
-        return [survival, "No scenario failed."]
+        return ["No scenario failed."]
     found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
     lines = (f"{reason.words}: {reason.message}." for reason in found)
     meaning = " ".join(text[0].upper() + text[1:] for text in lines)
-    return [
-        survival,
-        Picture(f"{prefix}stops", charts.stops(statuses), "Where and why scenarios end"),
-        table,
-        meaning,
-    ]
+    return [table, meaning]
 
 
 def _motion_ends(table: Table) -> list[Block]:
@@ -289,32 +232,6 @@ def _motion_ends(table: Table) -> list[Block]:
     meaning = "; ".join(f"{status.words}: {status.message}" for status in shown)
     text = "Why tracked targets are not executable: the motion ends at one of them, so that no later one is"
     return [table, f"{text}. {meaning[0].upper()}{meaning[1:]}."]
-
-
-def _clearance_picture(part: Part, prefix: str) -> Picture:
-    figure = charts.clearance_along({method: plans.clearance for method, plans in part.plans.items()})
-    return Picture(f"{prefix}clearance", figure, "Clearance along the path: median, band and minimum, by method")
-
-
-def _manipulability_blocks(part: Part, prefix: str) -> list[Block]:
-    """Return a picture of the manipulability with its explanation; empty for runs of older versions."""
-    known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
-    if not known:
-        return []
-    figure = charts.manipulability_along(known, feed_targets(part))
-    alt = "Manipulability along the path: median, band and minimum, by method, and where the feed is lowest"
-    return [Picture(f"{prefix}manipulability", figure, alt), MANIPULABILITY]
-
-
-def _motion_pictures(part: Part, prefix: str) -> list[Picture]:
-    names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
-    steps = charts.joint_motion({method: plans.joint_step for method, plans in part.plans.items()})
-    x = {method: plans.x for method, plans in part.plans.items()}
-    joints = charts.joint_motion_by_joint(x, names, unit=" or ".join(sorted(set(units), reverse=True)))
-    return [
-        Picture(f"{prefix}joint-motion", steps, "Length of the joint steps, by method and along the path"),
-        Picture(f"{prefix}joints", joints, "Length of the steps of every joint, by method"),
-    ]
 
 
 def _notes_on_results(part: Part) -> list[str]:
@@ -342,11 +259,17 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
     return [
         Heading(level, f"Next to the paper, table {part.paper_table.number}"),
         table,
-        f"Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time/target: planning time / attempted "
-        "targets. TCP distance: mean over the tracked targets. Clearance: mean of D over them, which the paper calls "
-        "safe distance. The paper does not specify its averages, the start configuration or the workpiece's "
-        "pose; benchmarks/PAPER.md compares other definitions.",
+        f"{_paper_part(part)}Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time/target: planning "
+        "time / attempted targets. TCP distance: mean over the tracked targets. Clearance: mean of D over them, which "
+        "the paper calls safe distance. The paper does not specify its averages, the start configuration or the "
+        "workpiece's pose; benchmarks/PAPER.md compares other definitions.",
     ]
+
+
+def _paper_part(part: Part) -> str:
+    """Return a sentence on the planned part of the paper's scenarios; empty if all are planned."""
+    of, planned = part.paper_table.scenarios, len(part.numbers)
+    return f"The paper's values are for all {of} scenarios, ours for {planned} of them. " if planned < of else ""
 
 
 def _unchecked_sentence(part: Part) -> str:
@@ -385,11 +308,6 @@ def _beaten_sentences(part: Part) -> list[str]:
                 f"{method} in {further.size} ({', '.join(map(str, further[:8]))}{', ...' * (further.size > 8)})"
             )
     return [f"Scenarios with more tracked than reachable targets: {'; '.join(beaten)}."] if beaten else []
-
-
-def _count_or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
-    """Return `count` (S,) with NaN for the scenarios that are not planned."""
-    return np.where(plans.outcomes.planned, count, np.nan)
 
 
 def _device(part: Part) -> str:

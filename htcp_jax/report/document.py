@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PAGE = Path(__file__).with_name("page.html")
+LEAST_CONTENTS = 3  # number of headings from which on a page has a list of contents
 
 
 class Table(NamedTuple):
@@ -109,8 +110,11 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
         pictures: Contents of the PNG files, by the pictures' names.
     """
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
-    body = "\n".join(_html(block, pictures) for block in blocks)
-    return Template(PAGE.read_text()).substitute(title=escape(title), body=body)
+    anchors = {k: f"section-{k}" for k, block in enumerate(blocks) if isinstance(block, Heading) and block.level > 1}
+    parts = [_html(block, pictures, anchors.get(k, "")) for k, block in enumerate(blocks)]
+    if len(anchors) >= LEAST_CONTENTS:
+        parts.insert(min(anchors), _contents({anchor: blocks[k] for k, anchor in anchors.items()}))
+    return Template(PAGE.read_text()).substitute(title=escape(title), body="\n".join(parts))
 
 
 def write_csv(file: Path, table: Table) -> None:
@@ -158,10 +162,21 @@ def _markdown_table(table: Table) -> str:
     return f"**{table.title}**\n\n{text}" if table.title else text
 
 
-def _html(block: Block, pictures: dict[str, bytes]) -> str:
+def _contents(headings: Mapping[str, Any]) -> str:
+    """Return the list of contents: links to the two highest levels of the headings, given by their anchors."""
+    top = min(heading.level for heading in headings.values())
+    links = [
+        f'<li class="level{heading.level - top}"><a href="#{anchor}">{escape(heading.text)}</a></li>'
+        for anchor, heading in headings.items()
+        if heading.level < top + 2
+    ]
+    return f'<nav aria-label="Contents"><ul>\n{chr(10).join(links)}\n</ul></nav>'
+
+
+def _html(block: Block, pictures: dict[str, bytes], anchor: str = "") -> str:
     match block:
         case Heading(level, text):
-            return f"<h{level}>{escape(text)}</h{level}>"
+            return f"<h{level}{f' id={chr(34)}{anchor}{chr(34)}' * bool(anchor)}>{escape(text)}</h{level}>"
         case Table():
             return _html_table(block)
         case Picture(name, _, alt, half):
@@ -185,7 +200,7 @@ def _html_table(table: Table) -> str:
     caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
     head = f"<thead><tr>{''.join(heads)}</tr></thead>"
-    return f'<div class="wide"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
+    return f'<div class="wide" tabindex="0"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
 
 
 def _texts(table: Table) -> list[list[str]]:

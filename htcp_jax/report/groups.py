@@ -13,7 +13,7 @@ from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
 from htcp_jax.report.cell import OpenedScene
 from htcp_jax.report.validation import read_validation
-from htcp_jax.runs import Run, reachability_file
+from htcp_jax.runs import Run, of_job, reachability_file
 from htcp_jax.runs import labels as scenario_labels
 from htcp_jax.runs import tables as scenario_tables
 
@@ -65,16 +65,43 @@ class Part:
         return dict(zip(self.numbers.tolist(), texts, strict=True))
 
     @cached_property
+    def times(self) -> dict[str, dict[int, dict[str, Any]]]:
+        """Rows of `Run.times` by method and scenario."""
+        found: dict[str, dict[int, dict[str, Any]]] = {method: {} for method in self.plans}
+        wanted = {*self.numbers.tolist()}
+        for row in self.run.times(*self.plans).to_pylist():
+            if row["scenario"] in wanted:
+                found[row["method"]][row["scenario"]] = row
+        return found
+
+    @cached_property
     def paper_table(self) -> paper.PaperTable | None:
-        """The paper's table whose grid and start the part has; None if there is no such table."""
-        middle = [np.median(self.parameters[f"start_{joint}"]) for joint in self.run.manifest.joints]
+        """The paper's table whose grid and start the part has, or has a part of; None if there is no such table."""
+        known = self._grid_parameters
+        middle = [np.median(known[f"start_{joint}"]) for joint in self.run.manifest.joints]
         if len(middle) != len(paper.START) or not np.allclose(middle, paper.START) or self.targets != paper.TARGETS:
             return None
+        axes = {name: np.unique(values) for name, values in scenario_labels.varying(known).items()}
         for table in (paper.ROBOT, paper.WORKPIECE):
-            same = tuple(self.axes) == table.grid and len(self.numbers) == table.scenarios
-            if same and all(table.is_axis(values.tolist()) for values in self.axes.values()):
+            same = tuple(axes) == table.grid and len(known[table.grid[0]]) == table.scenarios
+            same &= {*self.axes} <= {*table.grid}
+            if same and all(table.is_axis(values.tolist()) for values in axes.values()):
                 return table
         return None
+
+    @property
+    def _grid_parameters(self) -> dict[str, np.ndarray]:
+        """Values of parameters by name: of the complete grid, if it has as many scenarios as one of the paper's."""
+        manifest = self.run.manifest
+        is_part = len(self.numbers) < manifest.full and len(manifest.grid) == 1
+        if not is_part or manifest.full not in (paper.ROBOT.scenarios, paper.WORKPIECE.scenarios):
+            return self.parameters
+        jobs = [of_job(point.config) for point in self.run.points(full=True)]
+        if any(len(job.start) != len(manifest.joints) for job in jobs):  # the planner chooses them
+            return self.parameters
+        found = {f"start_{joint}": [job.start[k] for job in jobs] for k, joint in enumerate(manifest.joints)}
+        found |= {name: [getattr(job, name) for job in jobs] for name in paper.WORKPIECE.grid}
+        return {name: np.round(values, 9) + 0.0 for name, values in found.items()}
 
     def cells(self, values: np.ndarray, axes: Sequence[str]) -> np.ndarray:
         """Return the mean of the values in each cell of a grid over some parameters.
@@ -132,12 +159,12 @@ def read_parts(run: Run, name: str) -> list[Part]:
         validation=read_validation(run),
         scene=OpenedScene(run, plans),
     )
-    parameters = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
+    given = {name: scenario_labels.column_of(table[name]) for name in scenario_labels.parameter_names(table)}
     groups = np.array([group or "" for group in table["group"].to_pylist()])
     parts = []
     for group in dict.fromkeys(groups.tolist()):
         here = groups == group
-        own = {key: values[here] for key, values in parameters.items()}
+        own = {key: values[here] for key, values in given.items()}
         parts.append(_with_scenarios(whole, f"{name}: {group}" if group else name, numbers[here], own))
     return parts
 

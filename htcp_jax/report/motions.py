@@ -11,11 +11,11 @@ MOTIONS = (
     "path_step_max_rad", "curvature_median_rad_m2", "curvature_max_rad_m2",
 )  # fmt: skip
 MEANING = (
-    "Values are for the executable part of each plan. Dwells are targets of the path at which the arm changes its "
-    "configuration while the tool is at rest. Cost is the sum of the squared joint steps, equation (3): its median "
-    "over the scenarios whose motion leads to the last target, and its geometric mean over {common}. Longest step: "
-    "between two configurations on the path. Curvature: a scenario's largest second derivative |q''| of the "
-    "configuration by the path's arc length, except at dwells."
+    "Values are for the executable part of each plan. To the end: scenarios whose motion leads to the last target. "
+    "Dwells are targets of the path at which the arm changes its configuration while the tool is at rest. Cost is the "
+    "sum of the squared joint steps, equation (3): its median over the scenarios whose motion leads to the last "
+    "target, and its geometric mean over {common}. Longest step: between two configurations on the path. Curvature: a "
+    "scenario's largest second derivative |q''| of the configuration by the path's arc length, except at dwells."
 )
 
 

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import pyarrow as pa
 from PIL.Image import Image
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, did_you_mean
 from htcp_jax.planning import registry
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
+from htcp_jax.report.part_charts import charts_of
 from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, columns, open_run
@@ -67,21 +68,49 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     Raises:
         InputError: If a folder contains no run, or if a file is missing or damaged.
     """
-    listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
-    opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
-    names = _numbered([_run_name(given) for given in listed])
-    parts = [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+    names, parts = _read(runs)
     made = tuple(tables_of(part) for part in parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         results = {part.name: tables["results"] for part, tables in zip(parts, made, strict=True)}
         blocks += ["Executable targets in percent of all, by method and run.", overview(results)]
         for part, tables in zip(parts, made, strict=True):
-            blocks += [Heading(2, part.name), *chapter(part, tables, f"{slug(part.name)}-", 3)]
+            blocks += [Heading(2, part.name), *chapter(part, tables, _prefix(part, parts), 3)]
     else:
         blocks += chapter(parts[0], made[0], "", 2)
     blocks += _appendix(parts)
     return Report(tuple(parts), made, tuple(blocks), tuple(_concatenated_tables(parts, made)))
+
+
+def chart(runs: Run | str | Path | Sequence[Run | str | Path], name: str = "success") -> "Figure":
+    """Draw one chart of the report of runs, without the rest of the report.
+
+    Args:
+        runs: One or several runs, or their folders.
+        name: Name of the chart, as in `Report.figures`: "success", "map" (of a grid with one to three axes),
+            "survival", "stops", "clearance", "joint-motion" and others.
+
+    Raises:
+        InputError: If the report has no chart with this name; otherwise see `make_report`.
+    """
+    _, parts = _read(runs)
+    known = {f"{_prefix(part, parts)}{key}": each for part in parts for key, each in charts_of(part).items()}
+    if name not in known:
+        raise InputError(f"the report has no chart {name!r}; {did_you_mean(name, known)}valid: {', '.join(known)}")
+    return known[name].draw()
+
+
+def _read(runs: Run | str | Path | Sequence[Run | str | Path]) -> tuple[list[str], list[Part]]:
+    """Return the names of runs, and all of their parts."""
+    listed = [runs] if isinstance(runs, Run | str | Path) else list(runs)
+    opened = [run if isinstance(run, Run) else open_run(run) for run in listed]
+    names = _numbered([_run_name(given) for given in listed])
+    return names, [part for run, name in zip(opened, names, strict=True) for part in read_parts(run, name)]
+
+
+def _prefix(part: Part, parts: Sequence[Part]) -> str:
+    """Return the prefix of the names of a part's pictures; "" if there is only one part."""
+    return f"{slug(part.name)}-" if len(parts) > 1 else ""
 
 
 def write_report(report: Report, folder: Path) -> None:

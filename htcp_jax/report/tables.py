@@ -61,7 +61,7 @@ def pairs(part: Part) -> Table:
         p = float(scipy.stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
         equal = len(apart) - more - fewer
         rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
-    return Table.of("pairs", ("method", "other", "more", "fewer", "equal", "p"), rows)
+    return Table.of("pairs", ("method", "other", "more", "fewer", "equal", "p"), rows, "Compared with the best method")
 
 
 def paper(part: Part) -> Table:
@@ -141,7 +141,7 @@ def reach_rows(reach: Int[np.ndarray, "S T"]) -> list[dict]:
 
 def steps(part: Part) -> Table:
     """Return the table of accepted joint steps by method: number, blocked joint paths, and lengths."""
-    return Table.of("joint-steps", STEPS, [_step(part, method) for method in part.plans])
+    return Table.of("joint-steps", STEPS, [_step(part, method) for method in part.plans], "Joint steps")
 
 
 def _step(part: Part, method: str) -> dict:
@@ -224,14 +224,14 @@ def motion_ends(part: Part) -> Table:
             at = float(np.median(ends.executable[here]))
             counts = {"scenarios": int(here.sum()), "median_target": at, "targets": int(lost[here].sum())}
             rows.append({"method": method, "reason": segment_status.words, **counts})
-    return Table.of("motion-ends", ("method", "reason", "scenarios", "median_target", "targets"), rows)
+    return Table.of("motion-ends", ("method", "reason", "scenarios", "median_target", "targets"), rows, "Motion ends")
 
 
 def scenarios(part: Part) -> Table:
     """Return the table of all scenarios, a row per scenario and method: parameters, results, times, reachability."""
     keys = ["scenario", *part.parameters, "method", "tracked", "targets", "executable", *motion.MotionFigures._fields]
     keys += [name for name in timing_file.COLUMNS if any(part.timing.values())]
-    keys += ["end", "motion_end", "colliding_body", "reachable"]
+    keys += ["end", "motion_end", "colliding_body", "reachable", "run_s", "cpu_s", "together", "seed", "package"]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows, causes = [], {method: part.causes(method) for method in part.plans}
     for s, number in enumerate(part.numbers.tolist()):
@@ -241,7 +241,7 @@ def scenarios(part: Part) -> Table:
             cause = causes[method].get(number, {}).get("cause") or (blocked and blocked.description)
             row = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
             row |= given | times.get(method, {}).get(number, {}) | end._asdict()
-            row |= {"scenario": number, "method": method, "colliding_body": cause}
+            row |= part.times[method].get(number, {}) | {"colliding_body": cause}
             row["end"] = "complete" if end.status is None else end.status.words
             row["motion_end"] = end.segment_status.words if end.executable < end.tracked else None
             row["reachable"] = None if part.reachability is None else int(part.reachability[s])
@@ -254,8 +254,10 @@ def times(part: Part) -> Table:
 
     Methods share programs, and all are compiled before the first one plans, so no method has a time of its own.
     """
-    rows = [{"method": method, "run_s": plans.run_s} for method, plans in part.plans.items()]
-    return Table.of("times", ("method", "run_s", "compile_s"), [*rows, compilation_row(part.plans.values())])
+    rows = [{"method": method, "run_s": plans.run_s, "cpu_s": plans.cpu_s} for method, plans in part.plans.items()]
+    return Table.of(
+        "times", ("method", "run_s", "cpu_s", "compile_s"), [*rows, compilation_row(part.plans.values())]
+    ).without_empty()
 
 
 def compilation_row(plans: Iterable[Plans]) -> dict:

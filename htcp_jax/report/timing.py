@@ -1,18 +1,28 @@
 """Section of the report on the cycle times and feed rates of a part's motions, with charts."""
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from htcp_jax.report.charts.over_grid import Measure, over_line, over_map
 from htcp_jax.report.charts.success import Axis
-from htcp_jax.report.document import Block, Heading, Picture, Table
+from htcp_jax.report.document import Block, Heading, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.timing_table import MEANING, timing_row, timing_table
 from htcp_jax.runs import columns, timing_file
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TIMED = "cycle-time", "feed-held"  # names of the charts
 CYCLE = Measure(
-    "Cycle time", "s", "{:.1f}", "From home along the path and back, in seconds; blank if no motion is complete."
+    "Cycle time",
+    "s",
+    "{:.1f}",
+    "From home along the path and back, in seconds; blank without a motion to the last target.",
 )
 HELD = Measure(
     "Feed held", "%", "{:.1f}", "Share of the path's length on which the feed is held within 1 %.", (0.0, 100.0)
@@ -25,13 +35,14 @@ def timing(part: Part) -> Table:
     return timing_table(rows)
 
 
-def timing_section(part: Part, made: Table, prefix: str, level: int) -> list[Block]:
-    """Return the section on cycle times and feed: table, reasons of feed drops, and charts; empty without times.
+def timing_section(part: Part, made: Table, level: int) -> list[Block]:
+    """Return the section on cycle times and feed, without its charts: table, reasons of feed drops.
+
+    It is empty without times.
 
     Args:
         part: The part of the run.
         made: The part's table, see `timing`.
-        prefix: Prefix of the pictures' names.
         level: Level of the heading.
     """
     if not made.rows:
@@ -41,7 +52,6 @@ def timing_section(part: Part, made: Table, prefix: str, level: int) -> list[Blo
         f"Timed at {' and '.join(dict.fromkeys(part.timed_with.values()))}. {MEANING}",
         made,
         *_reason_sentences(part),
-        *_charts(part, prefix),
     ]
 
 
@@ -83,28 +93,26 @@ def feed_targets(part: Part) -> dict[str, np.ndarray]:
     }
 
 
-def _charts(part: Part, prefix: str) -> list[Picture]:
-    if not part.axes:
-        return []
-    axes = {name: Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
-    return [
-        _chart(part, axes, measure, values, f"{prefix}{name}")
-        for measure, name, values in (
-            (CYCLE, "cycle-time", _values(part, "cycle_time_s")),
-            (HELD, "feed-held", {m: 100 * v for m, v in _values(part, "feed_held_share").items()}),
-        )
-    ]
+def timing_charts(part: Part) -> dict[str, tuple[Callable[[], "Figure"], str]]:
+    """Return functions that draw the charts of TIMED, and the charts' alternative texts; empty without times."""
+    if not (part.axes and any(part.timing.values())):
+        return {}
+    held = {method: 100 * values for method, values in _values(part, "feed_held_share").items()}
+    given = zip(TIMED, (CYCLE, HELD), (_values(part, "cycle_time_s"), held), strict=True)
+    return {
+        name: (partial(_draw, part, measure, values), f"{measure.title} of the scenarios over the grid, by method")
+        for name, measure, values in given
+    }
 
 
-def _chart(part: Part, axes: dict[str, Axis], measure: Measure, values: dict[str, np.ndarray], name: str) -> Picture:
+def _draw(part: Part, measure: Measure, values: dict[str, np.ndarray]) -> "Figure":
     """Draw a line per method over a single axis, or a map per method over the first two axes."""
-    chosen = list(axes)[:2]
+    chosen = list(part.axes)[:2]
+    axes = [Axis(columns.column(name).title, part.axes[name].tolist()) for name in chosen]
     given = {method: part.cells(own, chosen) for method, own in values.items()}
-    alt = f"{measure.title} of the scenarios over the grid, by method"
     if len(axes) == 1:
-        return Picture(name, over_line(given, axes[chosen[0]], measure), alt)
-    note = "Means over the other axes." if len(axes) > 2 else ""
-    return Picture(name, over_map(given, axes[chosen[0]], axes[chosen[1]], measure, note), alt)
+        return over_line(given, axes[0], measure)
+    return over_map(given, *axes, measure, "Means over the other axes." if len(part.axes) > 2 else "")
 
 
 def _values(part: Part, name: str) -> dict[str, np.ndarray]:

@@ -28,7 +28,7 @@ FILE_UNITS = {  # in Parquet files, by the end of a column's name; longer ends c
     "_share": "1",
 }  # fmt: skip
 UNITS = {"_mm_s": "mm/s", **FILE_UNITS, "_deg": "deg", "_mm": "mm", "_ms": "ms", "_percent": "%"}
-STATISTICS = "min", "mean", "median", "max"
+STATISTICS = "min", "q1", "mean", "median", "q3", "max", "low", "high"
 HEADINGS = {  # of quantities, or of single columns
     "at": "scenario:",
     "begin_mm": "from",
@@ -42,8 +42,9 @@ HEADINGS = {  # of quantities, or of single columns
     "clearance_off": "differs from plan",
     "command": "run by",
     "compile": "compiling",
-    "complete_motions": "complete",
+    "complete_motions": "to the end",
     "cost_common": "cost, common",
+    "cpu_s": "processor",
     "cycle": "cycle time",
     "deepest": "deepest on",
     "dwelling": "with dwells",
@@ -91,12 +92,12 @@ HEADINGS = {  # of quantities, or of single columns
 COUNTED = {  # columns of counts, by what they count
     "targets": ("tracked", "executable", "reachable", "not_excluded", "checked", "tracked_before", "after_recovery",
                 "dwells"),
-    "scenarios": ("complete", "more", "fewer", "equal", "short", "beyond", "scenarios_blocked", "dwelling", "timed",
+    "scenarios": ("complete", "complete_motions",
+                  "more", "fewer", "equal", "short", "beyond", "scenarios_blocked", "dwelling", "timed",
                   "held", "worse", "better"),
     "steps": ("accepted", "blocked", "not_checked"),
-    "motions": ("complete_motions",),
     "in the plan": ("paths_blocked",),
-    "": ("targets", "scenarios", "refuted", "paths", "paths_touching", "was", "now"),
+    "": ("targets", "scenarios", "refuted", "paths", "paths_touching", "was", "now", "together", "planned"),
 }  # fmt: skip
 UNIT_LINES = {key: noun for noun, keys in COUNTED.items() for key in keys} | {
     **dict.fromkeys(("velocity_percent", "acceleration_percent", "jerk_percent", "torque_percent"), "max %"),

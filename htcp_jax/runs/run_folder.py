@@ -63,11 +63,11 @@ class Run:
         self._small: dict[str, pa.Table] = {}  # cached tables of scenarios, by file name
 
     def __repr__(self) -> str:
-        state = "complete" if self.complete else "not complete"
+        state = "finished" if self.complete else "not finished"
         return f"Run({str(self.folder)!r}: {', '.join(self.methods)}; {self.manifest.count} scenarios, {state})"
 
     def _repr_html_(self) -> str:
-        state = "complete" if self.complete else "not complete"
+        state = "finished" if self.complete else "not finished"
         facts = {method: self._describe(method) for method in self.methods}
         return html_facts(f"{self.manifest.name}: {self.manifest.count:,} scenarios, {state}", facts)
 
@@ -130,8 +130,11 @@ class Run:
         """
         return grid_axes.varied_keys([name for group in self.manifest.grid for axis in group["axes"] for name in axis])
 
-    def points(self) -> tuple[grid_axes.ScenarioPoint, ...]:
+    def points(self, full: bool = False) -> tuple[grid_axes.ScenarioPoint, ...]:
         """Return the scenarios with their complete configurations, by number, up to the last one to plan.
+
+        Args:
+            full: True also returns all later scenarios of the grid.
 
         Raises:
             InputError: If the grid in the manifest cannot be read.
@@ -142,7 +145,7 @@ class Run:
             groups = tuple(grid_axes.from_record(group, joints) for group in grid)
             stated = frozenset(key for group in grid for key in group.get("stated", ()))
             points = points_of(str(self.folder / MANIFEST), config, groups, stated, len(joints))
-            return tuple(islice(points, self.manifest.rows))
+            return tuple(islice(points, self.manifest.full if full else self.manifest.rows))
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:

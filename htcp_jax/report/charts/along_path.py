@@ -28,6 +28,7 @@ from htcp_jax.status import Status
 
 BANDS = "Line: median over the scenarios that track the target. Band: 10 to 90 %. Dots: minimum."
 LOW_FEED = "#d55e00"
+LEAST_MM, LEAST_STEP = 1e-3, 1e-5  # smaller clearances [mm] and joint steps [rad or m] are drawn at these values
 REASONS = {
     Status.QP_INFEASIBLE: ("#e69f00", "s"),
     Status.ITERATION_LIMIT: ("#0072b2", "o"),
@@ -149,9 +150,12 @@ def clearance_along(
         clearance_m: Clearance D at the targets [m], by method; NaN where not tracked.
         title: The title of the figure.
     """
-    values = {method: 1e3 * own for method, own in clearance_m.items()}
-    means = {method: f"mean {np.nanmean(own):.3g} mm" for method, own in values.items() if np.isfinite(own).any()}
-    figure, panels = _bands(values, title, BANDS, means, "clearance [mm]")
+    exact = {method: 1e3 * own for method, own in clearance_m.items()}
+    means = {method: f"mean {np.nanmean(own):.3g} mm" for method, own in exact.items() if np.isfinite(own).any()}
+    values = {method: np.maximum(own, LEAST_MM) for method, own in exact.items()}  # NaN stays NaN
+    cut = any((own < LEAST_MM).any() for own in exact.values())
+    note = f"{BANDS} Less than {LEAST_MM:g} mm: at the lower edge." if cut else BANDS
+    figure, panels = _bands(values, title, note, means, "clearance [mm]")
     for axes in panels.flat[: len(values)]:
         axes.set_yscale("log")
     decimal(panels[0, 0].yaxis)
@@ -225,10 +229,11 @@ def joint_motion(
     for y, (method, values) in enumerate(joint_step_rad.items()):
         _distribution(spread, y, values, method)
         colour, style = line_of(method)
-        along.plot(_over_scenarios(values)[1], color=colour, linestyle=style, linewidth=1.4)
+        along.plot(np.maximum(_over_scenarios(values)[1], LEAST_STEP), color=colour, linestyle=style, linewidth=1.4)
     spread.set_yticks(range(len(joint_step_rad)), list(joint_step_rad))
     spread.set(ylim=(len(joint_step_rad) - 0.5, -0.5), xscale="log", xlabel="joint step [rad]")
     along.set(yscale="log", xlabel="target", ylabel="joint step [rad]")
+    spread.set_xlim(left=max(spread.get_xlim()[0], LEAST_STEP))
     along.set_ylim(bottom=spread.get_xlim()[0])
     along.xaxis.set_major_locator(MaxNLocator(integer=True))
     decimal(spread.xaxis)
@@ -263,7 +268,7 @@ def joint_motion_by_joint(
         heading(axes, method, "")
         plain_axes(axes, grid="x")
     low = min((axes.get_xlim()[0] for axes in panels.flat[: len(x)]), default=1e-4)
-    panels[0, 0].set_xlim(left=max(low, 1e-5))
+    panels[0, 0].set_xlim(left=max(low, LEAST_STEP))
     decimal(panels[0, 0].xaxis)
     outer_labels(panels, len(x), f"joint step [{unit}]", "joint")
     return figure

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Mapping, Sequence, Sized
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -17,7 +18,9 @@ INK, QUIET, RULE, PAPER = "#22303c", "#5d6b77", "#dfe3e6", "#ffffff"
 WIDTH = 10.0  # width of every figure [inch]
 ACROSS = 3  # maximum number of panels next to each other
 
-LINES = {
+LineStyle = str | tuple[float, tuple[float, ...]]  # as in matplotlib
+
+LINES: dict[str, tuple[str, LineStyle]] = {
     "baseline": ("#5a5a5a", "-"),
     "cspace-sample": ("#e69f00", "--"),
     "nspace-sample": ("#d55e00", "--"),
@@ -27,31 +30,44 @@ LINES = {
     "nspace-adam": ("#999933", "-"),
     "keep-clear": ("#cc79a7", "-."),
     "hybrid": ("#332288", "-."),
+    "beam": ("#6e0a0a", "-"),
 }
-_OTHERS: dict[str, int] = {}  # index of the colour of each method that is not in LINES and has been drawn
-_PLACES = 64
+_OTHERS: dict[str, tuple[str, LineStyle]] = {}  # lines of the methods that are not in LINES and have been drawn
+_STYLES: tuple[LineStyle, ...] = ":", (0, (6, 1.5)), (0, (4, 1.5, 1, 1.5)), (0, (1, 3))
+_CHOICE, _APART = 64, 20  # number of colours to choose from; sufficient distance of two colours in CIELAB
+_XYZ = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)  # of sRGB, IEC 61966-2-1
 
 
-def line_of(method: str) -> tuple[str, str]:
+def line_of(method: str) -> tuple[str, LineStyle]:
     """Return colour and line style of a method.
 
-    A method that is not in LINES has a dotted line in a colour of its own. The colour depends only on the method's
-    name, unless another method already has the same colour.
+    The name of a method that is not in LINES determines its colour, unless this is too close to a colour in use: then
+    it is the first one that is far enough, or the farthest one. Line styles of these methods alternate.
     """
     if method in LINES:
         return LINES[method]
     if method not in _OTHERS:
-        place = zlib.crc32(method.encode()) % _PLACES
-        while place in _OTHERS.values():
-            place += 1
-        _OTHERS[method] = place
-    return _other_colour(_OTHERS[method]), ":"
+        used = np.array([_lab(colour) for colour, _ in (*LINES.values(), *_OTHERS.values())])
+        first, count = zlib.crc32(method.encode()) % _CHOICE, _CHOICE * (1 + len(_OTHERS) // (_CHOICE // 2))
+        choice = [_other_colour((first + k) % count) for k in range(count)]
+        apart = np.array([np.linalg.norm(used - _lab(colour), axis=1).min() for colour in choice])
+        own = choice[int(np.argmax(np.minimum(apart, _APART)))]
+        _OTHERS[method] = own, _STYLES[len(_OTHERS) % len(_STYLES)]
+    return _OTHERS[method]
 
 
-def _other_colour(place: int) -> str:
+def _lab(colour: str) -> Float[np.ndarray, "3"]:
+    """Return the coordinates of a colour in CIELAB, in which equal distances look equally large (CIE 1976)."""
+    x, y, z = np.cbrt(_XYZ @ [_linear(each) for each in to_rgb(colour)] / _XYZ.sum(axis=1))
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def _other_colour(index: int) -> str:
     """Return the colour with an index: dark if even, light if odd; hues are a golden section apart and never repeat."""
-    hue = (0.9 + place * 0.6180339887) % 1
-    return to_hex(colorsys.hls_to_rgb(hue, 0.42 if place % 2 else 0.3, 0.65))
+    hue = (0.9 + index * 0.6180339887) % 1
+    return to_hex(colorsys.hls_to_rgb(hue, 0.42 if index % 2 else 0.3, 0.65))
 
 
 def ink_on(colour: tuple[float, ...]) -> str:
@@ -65,8 +81,12 @@ def ink_on(colour: tuple[float, ...]) -> str:
 
 
 def _luminance(colour: tuple[float, ...]) -> float:
-    linear = [each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in colour[:3]]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return float(_XYZ[1] @ [_linear(each) for each in colour[:3]])
+
+
+def _linear(share: float) -> float:
+    """Return the light of a component of a colour, 0 to 1."""
+    return share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
 
 
 def new_figure(height: float, title: str, note: str) -> Figure:

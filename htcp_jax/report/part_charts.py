@@ -1,0 +1,141 @@
+"""Charts of a part of a run, by the stems of their file names; each is drawn on demand."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from htcp_jax.motion import Plans
+from htcp_jax.report import charts, tables
+from htcp_jax.report.document import Picture
+from htcp_jax.report.groups import Part
+from htcp_jax.report.timing import feed_targets, timing_charts
+from htcp_jax.runs import columns
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_SLICES = 9  # maximum number of maps side by side
+OF_TASK = "task."  # prefix of task parameters; success and reachability are drawn over each of them
+
+
+class Chart(NamedTuple):
+    """A chart that is not drawn yet."""
+
+    draw: "Callable[[], Figure]"
+    alt: str  # alternative text
+    over_grid: bool = False  # True for charts of the number of targets over the grid of scenarios
+
+    def picture(self, name: str) -> Picture:
+        """Draw the chart; `name` is the stem of its file."""
+        return Picture(name, self.draw(), self.alt)
+
+
+def charts_of(part: Part) -> dict[str, Chart]:
+    """Return the charts of a part by name, without the prefix of the part."""
+    status = {method: plans.status for method, plans in part.plans.items()}
+    executable = {method: plans.executable for method, plans in part.plans.items()}
+    survival = partial(charts.survival, status, executable=executable, reachability=part.reachability)
+    found = {
+        "success": Chart(partial(_success, part), f"Success of each method on {part.name}"),
+        **_over_grid(part),
+        "survival": Chart(survival, "Number of scenarios that execute each target, by method"),
+    }
+    if any(map(tables.reasons, part.plans.values())):
+        found["stops"] = Chart(partial(charts.stops, status), "Where and why scenarios end")
+    clearance = {method: plans.clearance for method, plans in part.plans.items()}
+    alt = "Clearance along the path: median, band and minimum, by method"
+    found["clearance"] = Chart(partial(charts.clearance_along, clearance), alt)
+    known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
+    if known:
+        draw = partial(charts.manipulability_along, known, feed_targets(part))
+        alt = "Manipulability along the path: median, band and minimum, by method, and where the feed is lowest"
+        found["manipulability"] = Chart(draw, alt)
+    names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
+    unit, x = " or ".join(sorted(set(units), reverse=True)), {method: plans.x for method, plans in part.plans.items()}
+    steps = partial(charts.joint_motion, {method: plans.joint_step for method, plans in part.plans.items()})
+    joints = partial(charts.joint_motion_by_joint, x, names, unit=unit)
+    timed = {name: Chart(draw, alt) for name, (draw, alt) in timing_charts(part).items()}
+    return (
+        found
+        | timed
+        | {
+            "joint-motion": Chart(steps, "Length of the joint steps, by method and along the path"),
+            "joints": Chart(joints, "Length of the steps of every joint, by method"),
+        }
+    )
+
+
+def numbered_values(part: Part) -> list[str]:
+    """Return sentences with the values that the charts over the grid number; empty if there are none."""
+    return [
+        f"In the charts, {axis.label} {', '.join(f'{name}: {value}' for name, value in axis.numbered.items())}."
+        for axis in _axes(part).values()
+        if axis.numbered
+    ]
+
+
+def _success(part: Part) -> "Figure":
+    rows = tables.results(part).records()
+    theirs = {row["method"]: row["paper_success_percent"] for row in tables.paper(part).records()}
+    whole = all(row["scenarios"] == len(part.numbers) for row in rows)
+    return charts.success(
+        {row["method"]: row["tracked"] for row in rows},
+        {row["method"]: row["targets"] for row in rows},
+        executable={row["method"]: row["executable"] for row in rows},
+        paper=theirs or None,
+        reachability=int(part.reachability.sum()) if part.reachability is not None and whole else None,
+    )
+
+
+def _axes(part: Part) -> dict[str, charts.Axis]:
+    return {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
+
+
+def _over_grid(part: Part) -> dict[str, Chart]:
+    """Return charts of the results over the grid of parameters.
+
+    One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
+    means. Each parameter of the task is also drawn as a line.
+    """
+    names, axes = list(part.axes), _axes(part)
+
+    def cells(count, chosen):
+        values = {m: _count_or_nan(plans, getattr(plans.outcomes, count)) for m, plans in part.plans.items()}
+        return {method: part.cells(own, chosen) for method, own in values.items()}
+
+    def chart(draw, chosen, **options):
+        def drawn():
+            given = cells("tracked", chosen), *(axes[each] for each in chosen), part.targets
+            return draw(*given, executable=cells("executable", chosen), **options)
+
+        return Chart(drawn, "Tracked targets of every scenario over the grid, by method", over_grid=True)
+
+    def means(chosen):
+        name = f"map-{'-'.join(str(names.index(each) + 1) for each in chosen)}"
+        return {name: chart(charts.success_map, chosen, note="Mean over the other axes.")}
+
+    def line(name):
+        known = part.reachability
+        options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
+        if len(names) == 1:
+            return {"map": chart(charts.success_line, [name], **options)}
+        options["title"] = f"Success over {axes[name].label}, means over the other axes"
+        return {f"along-{name.replace('.', '-')}": chart(charts.success_line, [name], **options)}
+
+    if len(names) < 2:
+        return line(names[0]) if names else {}
+    along = {}
+    for name in filter(lambda name: name.startswith(OF_TASK), names):
+        along |= line(name)
+    if len(names) == 2:
+        return along | {"map": chart(charts.success_map, names)}
+    if len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
+        return along | {"map": chart(charts.success_slices, names)}
+    return along | means(names[:2]) | (means(names[-2:]) if len(names) > 3 else {})
+
+
+def _count_or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:
+    """Return `count` (S,) with NaN for the scenarios that are not planned."""
+    return np.where(plans.outcomes.planned, count, np.nan)
