@@ -8,6 +8,7 @@ import yaml
 from small_run import LONGER, TOY_TARGETS, edit_manifest, end_early, rewrite, spoil, toy_run
 
 from htcp_jax.cli import main
+from htcp_jax.planning import registry
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.provenance import provenance
@@ -381,3 +382,32 @@ def test_other_flags_and_packages_of_extensions_are_stated(run, baseline, capsys
     verdict = outcome(run, baseline, capsys)
     assert verdict["passed"] and verdict["elsewhere"] and "now '--other'" in verdict["notes"][0]
     assert verdict["notes"][1] == "the method mine was of unknown in the baseline, now of mine 1.1"
+
+
+@pytest.mark.parametrize("added", ["method cspace-sample", "kind of obstacle ball", "kind of task row spin"])
+def test_what_a_missing_package_has_planned_is_not_judged(run, baseline, tmp_path, capsys, monkeypatch, added):
+    edit_manifest(run, lambda manifest: manifest.update(plugins={added: "theirs 1.1"}))
+    monkeypatch.setattr(registry.METHODS, "_built_in", ("baseline",))  # as if the second method were of a package
+    junit = tmp_path / "junit.xml"
+    for options in (("--junit", str(junit)), ("--update",)):
+        assert gate(run, baseline, *options) == BAD_INPUT
+        output = capsys.readouterr()
+        line = f"htcp: the {added} was of theirs 1.1 when it planned, which is not installed here: install it\n"
+        assert (output.out, output.err) == ("", line) and not junit.exists()
+    is_judged = not added.startswith("method")
+    assert gate(run, baseline, "--methods", "baseline") == (BAD_INPUT if is_judged else PASSED)
+
+
+def test_complete_scenarios_that_are_gained_and_lost_have_the_probability_of_mcnemar(run, tmp_path, capsys):
+    was = shutil.copytree(run, tmp_path / "was")
+    for scenario in (0, 1, 2):
+        end_early(was, scenario, 5, Status.ITERATION_LIMIT)
+    assert gate(was, tmp_path / "was.yaml", "--update") == PASSED
+    end_early(run, 3, 5, Status.ITERATION_LIMIT)
+    capsys.readouterr()
+    first, second, *_ = outcome(run, tmp_path / "was.yaml", capsys)["rows"]
+    assert (first["gained"], first["lost"]) == (3, 1) and first["p"] == pytest.approx(2 * (1 + 4) / 2**4)
+    assert (second["gained"], second["lost"], second["p"]) == (0, 0, None)
+    gate(run, tmp_path / "was.yaml", "--markdown", str(tmp_path / "page.md"))
+    line = "baseline: 3 complete scenarios gained, 1 lost; probability of such a split by chance 0.62"
+    assert f"success  {line}\n" in capsys.readouterr().out and f"- {line}\n" in (tmp_path / "page.md").read_text()

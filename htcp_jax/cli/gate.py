@@ -3,6 +3,7 @@
 import os
 import sys
 import textwrap
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -12,8 +13,10 @@ from rich.text import Text
 
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
+from htcp_jax.planning import registry
 from htcp_jax.report import gate as gates
 from htcp_jax.runs import labels, manifest, open_run
+from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import output_files
 from htcp_jax.validation import Baseline, read_baseline
 from htcp_jax.validation import gate as regression
@@ -66,8 +69,10 @@ def gate(
             raise InputError(f"--update writes no comparison to {files[0]}; omit --update or that file")
         if methods != "all":
             raise InputError("--update writes all methods of the run; omit --update or --methods")
+        planned = open_run(run)
+        _refuse_missing(planned.manifest.plugins, planned.methods)
         with progress_bar("plans", time_left=True) as progress:
-            written = write_baseline(open_run(run), baseline, progress)
+            written = write_baseline(planned, baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else _print_update(run, baseline, written)
         return PASSED
     known = read_baseline(baseline)
@@ -115,8 +120,27 @@ def _compare_with(folder: Path, baseline: Baseline, only_known: bool) -> regress
         if not (folder / manifest.MANIFEST).exists():
             raise
         return regression.unreadable_run(baseline, str(error))
+    _refuse_missing(run.manifest.plugins, baseline.methods)
     with progress_bar("plans", time_left=True) as progress:
         return regression.compare(run, baseline, progress)
+
+
+def _refuse_missing(plugins: Mapping[str, str], methods: Collection[str]) -> None:
+    """Check that the packages of methods and kinds are installed.
+
+    Args:
+        plugins: Distribution and version of packages, by noun and name of what they add, as in a manifest.
+        methods: Names of the methods to judge; packages of other methods may be missing.
+
+    Raises:
+        InputError: If one of them is missing. Its results cannot be planned again here, so they may be old ones.
+    """
+    registries = {each.noun: each for each in (registry.METHODS, obstacle_kind.OBSTACLES, TASK_ROWS)}
+    for added, package in plugins.items():
+        noun, _, name = added.rpartition(" ")
+        is_judged = noun != registry.METHODS.noun or name in methods
+        if is_judged and noun in registries and name not in registries[noun].names():
+            raise InputError(f"the {added} was of {package} when it planned, which is not installed here: install it")
 
 
 def _comparison_record(verdict: regression.GateVerdict) -> dict:
@@ -141,6 +165,9 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     for table in gates.verdict_tables(verdict):
         print_table(console, table)
         console.print()
+    for row in verdict.rows:
+        if row.success:
+            console.print(Text.assemble(("success  ", "cyan"), row.success))
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from jaxtyping import Int
 
 from htcp_jax.motion import Plans, motion
@@ -58,8 +57,7 @@ def pairs(part: Part) -> Table:
     for method in (method for method in counts if method != best):
         apart = (counts[method] - counts[best])[planned[method] & planned[best]]
         more, fewer = int((apart > 0).sum()), int((apart < 0).sum())
-        p = float(scipy.stats.binomtest(more, more + fewer).pvalue) if more + fewer else None
-        equal = len(apart) - more - fewer
+        p, equal = summary.sign_test(more, fewer), len(apart) - more - fewer
         rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
     return Table.of("pairs", ("method", "other", "more", "fewer", "equal", "p"), rows, "Compared with the best method")
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from htcp_jax.motion import Plans
@@ -83,6 +84,21 @@ def _failures(ends: plan_arrays.Outcomes) -> tuple[Failure, ...]:
     """Return the first target that is not tracked, for every scenario that has one."""
     found = (ends.of(s) for s in np.flatnonzero(ends.failed >= 0).tolist())
     return tuple(Failure(end.scenario, end.failed, end.status) for end in found)
+
+
+def sign_test(better: int, worse: int) -> float | None:
+    """Return the probability of a split at least as uneven by chance, if better and worse are equally likely.
+
+    This is the exact two-sided sign test. For scenarios that one of two methods completes it is McNemar's exact test.
+
+    Args:
+        better: Number of scenarios with a better result.
+        worse: Number of scenarios with a worse result.
+
+    Returns:
+        The p-value, a share [1]; None if both numbers are 0.
+    """
+    return float(scipy.stats.binomtest(better, better + worse).pvalue) if better + worse else None
 
 
 def reduced(reduce: Callable[..., Any], values: Float[np.ndarray, "n"]) -> float:

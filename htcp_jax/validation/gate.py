@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs import Run, identity
+from htcp_jax.runs import Run, identity, summary
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import (
@@ -111,6 +111,9 @@ class GateRow(NamedTuple):
     targets: int | None
     worse: int | None
     better: int | None
+    gained: int | None  # number of scenarios that are complete only in the run
+    lost: int | None  # number of scenarios that are complete only in the baseline
+    p: float | None  # probability of such a split by chance, see `summary.sign_test`
     was_share: float | None  # tracked share of the reachable targets [%]
     share: float | None
     was_tcp_error_max_mm: float | None
@@ -123,6 +126,14 @@ class GateRow(NamedTuple):
     was_cycle_mean_s: float | None  # mean over the scenarios with a time
     cycle_mean_s: float | None
     verdict: str
+
+    @property
+    def success(self) -> str:
+        """Sentence on the gained and lost complete scenarios; "" if there are none."""
+        if self.p is None:
+            return ""
+        counts = f"{run_labels.counted(self.gained, 'complete scenario')} gained, {self.lost} lost"
+        return f"{self.method}: {counts}; probability of such a split by chance {self.p:.2g}"
 
 
 class GateVerdict(NamedTuple):
@@ -338,11 +349,16 @@ def _gate_row(
     baseline: Baseline, found: RunSummary, method: str, changed: list[ChangedOutcome], verdict: str
 ) -> GateRow:
     was, now = baseline.methods[method], found.methods.get(method)
+    gained = sum(one.now.status == COMPLETE != one.was.status for one in changed)
+    lost = sum(one.was.status == COMPLETE != one.now.status for one in changed)
     return GateRow(
         method=method,
         targets=was.targets,
         worse=now and sum(one.worse for one in changed),
         better=now and sum(one.better for one in changed),
+        gained=now and gained,
+        lost=now and lost,
+        p=summary.sign_test(gained, lost),
         was_share=_reachable_share(was, baseline.reachability),
         share=_reachable_share(now, found.reachability),
         **_before_and_now(was, now, "tracked", "tcp_error_max_mm", "clearance_min_mm"),
