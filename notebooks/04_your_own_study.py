@@ -58,24 +58,15 @@ scenarios.pivot_table("executable", index=["method", "rotation_y_rad"], columns=
 # The map shows the same numbers. If more targets are tracked, their number is in brackets. Bold numbers mark motions to
 # the end of the weld.
 
+# %%
+htcp_jax.chart(run, "map")
+
+# %% [markdown]
+# How sure is a rate of 36 scenarios? The report's table has its 95 % confidence interval.
 
 # %%
-def by_method(column):
-    return {
-        method: rows.pivot(index="rotation_y_rad", columns="tool_extension_m", values=column).to_numpy(float)
-        for method, rows in scenarios.groupby("method", sort=False)
-    }
-
-
-charts = htcp_jax.charts
-charts.success_map(
-    by_method("tracked"),
-    charts.Axis("tilt [rad]", TILTS_RAD),
-    charts.Axis("tool extension [mm]", [1e3 * length for length in LENGTHS_M]),
-    targets=105,
-    executable=by_method("executable"),
-    title="Success by tool length and tilt",
-)
+report = htcp_jax.make_report(run)
+report.frame("success").round(1)
 
 # %% [markdown]
 # ## Why plans end
@@ -83,8 +74,7 @@ charts.success_map(
 # Every incomplete plan has a failed target and a reason.
 
 # %%
-status = {method: run.plans(method).status for method in run.methods}
-charts.stops(status)
+htcp_jax.chart(run, "stops")
 
 # %%
 scenarios.groupby(["method", "failure"]).size().unstack(fill_value=0)

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import stranger_report
 import yaml
 from hand_made import plans_with
 from markdown_it import MarkdownIt
+from small_run import toy_run
 
 import htcp_jax
 from htcp_jax.cli import main
@@ -652,6 +654,53 @@ def test_json_holds_the_tables_as_records(folder, tmp_path, capsys):
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert run["results"][1]["method"] == "hybrid" and run["results"][1]["tracked"] == 26
     assert run["validated"] is None and run["configuration"].startswith("margin 0.5 mm")
+
+
+def check_by_a_stranger(run: Path, out: Path) -> int:
+    """Check that a script without this package finds every number of a report; return how many numbers there are."""
+    out.mkdir(exist_ok=True)
+    write_report(make_report(run), out)
+    found, checked = stranger_report.report_of(run), 0
+    for file in out.glob("*.csv"):
+        with file.open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        theirs = found[file.stem]
+        if file.stem in ("stops", "motion-ends"):  # in the order of their statuses' codes
+            places = {(row["method"], row["reason"].lower()): k for k, row in enumerate(rows)}
+            theirs = sorted(theirs, key=lambda row, places=places: places[row["method"], row["reason"]])
+        if file.stem == "paper":
+            theirs = [row for row in theirs if row["method"] in [each["method"] for each in rows]]
+        assert len(rows) == len(theirs), file.name
+        for k, (row, own) in enumerate(zip(rows, theirs, strict=True)):
+            for key, text in row.items():
+                if key in TEXTS or key.startswith("paper_"):
+                    continue
+                value = own.get(key)
+                if isinstance(value, int | float) and not isinstance(value, bool):
+                    assert float(text) == pytest.approx(value, rel=1e-9), (file.name, k, key)
+                    checked += 1
+                else:
+                    assert text.lower() == str(value or "").lower(), (file.name, k, key)
+    return checked
+
+
+TEXTS = {"run", "colliding_body", "motion_end", "package", "reachable"}
+
+
+@pytest.mark.parametrize("name", ["poses", "starts", "one", "four"])
+def test_a_stranger_s_script_finds_every_number_of_the_report_in_the_run_s_files(folder, tmp_path, name):
+    assert check_by_a_stranger(folder / name, tmp_path) > 100
+
+
+def test_a_stranger_s_script_finds_every_number_of_a_planned_run(planned, tmp_path):
+    assert check_by_a_stranger(planned / "run", tmp_path / "report") > 200
+
+
+def test_a_stranger_s_script_finds_every_number_of_a_timed_run(tmp_path):
+    run = shutil.copytree(toy_run() / "run", tmp_path / "run")
+    assert main(["program", str(run), "--all", "--feed", "20mm/s"]) == 0
+    assert check_by_a_stranger(run, tmp_path / "report") > 200
+    assert (tmp_path / "report" / "timing.csv").exists()
 
 
 def test_bad_input_is_one_line_and_exit_2(folder, tmp_path, capsys):
