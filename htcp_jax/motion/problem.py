@@ -252,8 +252,8 @@ class Problem:
         """Call work(checker, share) in every thread, and return the results.
 
         Args:
-            work: Function of the checker of the thread's device, and of a slice that selects the thread's share of the
-                rows of any table.
+            work: Function of the collision checker of the thread's device and of a slice. The slice selects the rows
+                of a table that this thread computes, for example the scenarios `to_plan[share]`; it writes no others.
             threads: Number of threads; None: `self.threads`.
         """
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads
