@@ -1,4 +1,4 @@
-"""The start page shows README.md. Links of README are relative to the repository; here they become links of the site."""
+"""The start page shows README.md, whose links are relative to the repository; here they become links of the site."""
 
 from pathlib import Path
 

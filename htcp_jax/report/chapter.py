@@ -33,8 +33,8 @@ BLOCKED = (
 )
 PAIRED = (
     "Number of scenarios in which a method has more or fewer executable targets than the best method, or as many. "
-    "p: probability of a split at least as uneven if neither method is better (sign test). The test assumes that "
-    "scenarios are independent. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
+    "p: probability of a split at least as uneven if neither method is better (sign test). The test assumes independent "
+    "scenarios. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
 )
 MANIPULABILITY = (
     "Manipulability is the smallest singular value of the task's Jacobian: the lowest tool speed at a joint velocity "
