@@ -216,7 +216,7 @@ class Problem:
         return np.array([name in self.robot.indexed for name in self.robot.joint_names])
 
     def with_still_joints(self, inputs: LaneInputs, scenario: Rows, target: Rows) -> LaneInputs:
-        """Return inputs of lane functions with the joints that must not move on segments; the same without any.
+        """Return inputs of lane functions that name the joints which must not move; unchanged if there are none.
 
         Args:
             inputs: The inputs.

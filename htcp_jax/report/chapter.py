@@ -33,7 +33,7 @@ BLOCKED = (
 )
 PAIRED = (
     "Number of scenarios in which a method has more or fewer executable targets than the best method, or as many. "
-    "p: probability of a split at least as uneven if neither method is better (sign test). The test assumes independent "
+    "p: probability of a split at least as uneven if neither method is better (sign test). It assumes independent "
     "scenarios. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
 )
 MANIPULABILITY = (
