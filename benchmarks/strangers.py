@@ -259,7 +259,7 @@ def ending(found: dict[str, Any]) -> str:
     return ", ".join(wrong + [f"contact of {name}" for name in found["motion"]["hits"]]) or "a figure of the motion"
 
 
-PAGE_TEXT = """# Jobs of strangers
+PAGE_TEXT = """# Jobs on published arms
 
 {count} of {listed} jobs on published arms were planned by the command, as a user would, and checked with programs that
 share no code with `htcp_jax`: all verdicts are true in {true}. The arms are files of pinned packages of PyPI, which
