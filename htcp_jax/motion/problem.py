@@ -74,9 +74,9 @@ class Problem:
     """Input of a method: S scenarios with up to T targets, arm, workpiece and obstacles, and how to execute it.
 
     `Problem.of` makes a problem. It is final: before a method gets it, starts are chosen and scenarios are refused. Its
-    arrays are read-only. `progress` has two arguments: the numbers of newly tracked targets and of newly finished
-    scenarios. Optional ones are the number of scenarios whose start was newly chosen, and that of configurations that
-    were drawn to find one. It may be called at any time, on any thread; an exception in it ends planning.
+    arrays are read-only. `progress` takes the numbers of newly tracked targets and of newly finished scenarios, and
+    optionally of starts newly chosen and of configurations drawn to find them. It may be called at any time, on any
+    thread; an exception in it ends planning.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`

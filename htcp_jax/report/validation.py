@@ -175,7 +175,7 @@ def notes(found: dict[str, Any]) -> list[str]:
         lines.append(
             f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s and proportional to it. The limits are "
             "from the model file, for the GP50 from its data sheet. In place: the joint change from the start to the "
-            "first target, and between targets closer together than the tolerance. The feed rate defines no time for it."
+            "first target, and between targets closer together than the tolerance. The feed rate sets no time."
         )
     elif any(check["paths"] for check in found["methods"].values()):
         lines.append("There are no joint speeds, because the model file has no velocity limits.")
