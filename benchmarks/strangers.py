@@ -270,8 +270,8 @@ share no code with `htcp_jax`: all verdicts are true in {true}. The arms are fil
 - **Reachable targets.** The configurations of all {reachable} were checked in the same way.
 - **Excluded targets.** From 5,000 random configurations at each of {excluded} excluded targets, an independent inverse
   kinematics found {solutions} solutions on the target. Targets with a solution in which neither the tool nor the arm is
-  nearer to the part than the margin: {counterexamples}. At {controls} targets called reachable 500 starts found such a
-  solution in {broken}.
+  nearer to the part than the margin: {counterexamples}. As a control, the same search with 500 starts found such a
+  solution at {broken} of {controls} reachable targets.
 - **Undecided targets**: {undecided}.
 
 `make strangers` repeats this. The jobs are in `benchmarks/stranger_jobs.yaml`, the checks in
@@ -287,7 +287,7 @@ They run in an environment of their own:
 - **processor**: processor time of `htcp robot`, `htcp plan` and `htcp reachability --each` [s], compilation included.
 - **compile, plan**: seconds that `htcp plan` states for compilation and for planning.
 
-Times are from {hardware}, which other work shared, of the commits
+Times are from {hardware}, shared with other work, at the commits
 {commits}. Some executables were in the cache.
 
 | job | | arm | planned | segments | distance | each target | processor | compile, plan | verdicts |
