@@ -19,7 +19,7 @@ from htcp_jax.model import Robot
 from htcp_jax.motion import DeadEnds, Plans, Tried, ViaPoints, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
-from htcp_jax.spec.tool_angles import TOOL_ANGLES
+from htcp_jax.spec import TOOL_ANGLES
 from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 if TYPE_CHECKING:

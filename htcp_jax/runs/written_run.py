@@ -22,7 +22,7 @@ from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import follower_columns, joint_columns, scenario_table, target_table
-from htcp_jax.spec.tool_angles import TOOL_ANGLES, tool_axis_row
+from htcp_jax.spec import TOOL_ANGLES, tool_axis_row
 
 
 class SweepProgress(NamedTuple):
