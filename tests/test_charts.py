@@ -65,8 +65,10 @@ def test_every_chart_draws_a_figure_that_names_every_method_even_where_nothing_i
 def test_long_values_of_an_axis_are_numbered_and_no_two_labels_of_a_map_overlap():
     long = charts.Axis("path", [f"branch_seam_of_pipe_{k}.csv" for k in range(5)])
     assert long.numbered["no. 2"] == "branch_seam_of_pipe_1.csv" and not TOOL.numbered
-    for columns in (long, charts.Axis("path", [f"seam_{k}.csv" for k in range(5)])):
-        figure = charts.success_map(dict.fromkeys(STATUS, np.ones((2, 5))), TOOL, columns, 4)
+    many = charts.Axis("tool [m]", [-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1])
+    for columns in (long, charts.Axis("path", [f"seam_{k}.csv" for k in range(5)]), many):
+        cells = np.ones((2, len(columns.values)))
+        figure = charts.success_map(dict.fromkeys(STATUS, cells), TOOL, columns, 4)
         figure.canvas.draw()
         boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels()]
         assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))

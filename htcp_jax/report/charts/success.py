@@ -32,6 +32,7 @@ _COLOURS = (0, "#fbf3e4"), (0.113, "#d8dfd6"), (0.395, "#8fb8cf"), (0.694, "#3f8
 TRACKED = LinearSegmentedColormap.from_list("tracked", _COLOURS)  # positions by the colours' distances in CIELAB
 MOST_NUMBERS, MOST_NAMES = 15, 12  # maximum numbers of cells and of axis values along a map's side that are written
 LONGEST, LEVEL = 14, 6  # maximum characters of an axis value, and of one that is written horizontally below a map
+MAP_CHARACTERS = 36  # maximum characters of all values below a map, if they are written horizontally
 LINE_CHARACTERS = 80  # maximum characters of all values below a line chart, if they are written horizontally
 
 
@@ -307,7 +308,7 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
     for axis, given in ((axes.xaxis, columns), (axes.yaxis, rows)):
         every = -(-len(given.values) // MOST_NAMES)
         axis.set_ticks(range(0, len(given.values), every), given.names[::every])
-    if max(map(len, columns.names)) > LEVEL:
+    if max(map(len, columns.names)) > min(LEVEL, MAP_CHARACTERS / min(len(columns.values), MOST_NAMES)):
         axes.tick_params(axis="x", rotation=90)
     axes.tick_params(colors=QUIET, labelsize=8.5, length=0)
     axes.set_xticks(np.arange(len(columns.values) - 1) + 0.5, minor=True)
