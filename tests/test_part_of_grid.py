@@ -99,6 +99,11 @@ def test_a_seed_that_varies_is_a_column_of_the_times(here):
     assert run.frame("times").seed.tolist() == [4, 7]
 
 
+def test_the_times_name_the_package_of_the_method(here, full):
+    edit_manifest(full.folder, lambda manifest: manifest.update(plugins={"method baseline": "theirs 1.2"}))
+    assert {*open_run(full.folder).frame("times").package} == {"theirs 1.2"}
+
+
 def test_a_run_of_an_older_version_has_no_processor_time(here, full):
     def drop(manifest):
         for record in (*manifest["shards"], *manifest["seconds"].values()):

@@ -112,8 +112,9 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
     anchors = {k: f"section-{k}" for k, block in enumerate(blocks) if isinstance(block, Heading) and block.level > 1}
     parts = [_html(block, pictures, anchors.get(k, "")) for k, block in enumerate(blocks)]
-    if len(anchors) >= LEAST_CONTENTS:
-        parts.insert(min(anchors), _contents({anchor: blocks[k] for k, anchor in anchors.items()}))
+    if len(anchors) >= LEAST_CONTENTS:  # after the title and its paragraphs
+        first = next(k for k, block in enumerate(blocks) if k in anchors or isinstance(block, Table | Picture))
+        parts.insert(first, _contents({anchor: blocks[k] for k, anchor in anchors.items()}))
     return Template(PAGE.read_text()).substitute(title=escape(title), body="\n".join(parts))
 
 

@@ -30,8 +30,8 @@ MEANING = (
     "rate, if the scenarios are a random sample. Neighbours in a regular grid are similar; there it is only a guide."
 )
 MEANING_OF_SPREAD = (
-    "Quartiles over the scenarios: a quarter of them is below q1, half below the median, a quarter above q3. Joint "
-    "motion and cycle time are those of motions to the last target. "
+    "Quartiles over the scenarios: a quarter of them is below q1, half below the median, a quarter above q3. {}: only "
+    "the scenarios that are executable to the last target. "
 )
 MEASURED = "Planning and processor time of a scenario are measured: each scenario was planned alone."
 SHARED = (
@@ -65,7 +65,8 @@ def spread(part: Part) -> Table:
 def meaning_of_spread(part: Part) -> str:
     """Return an explanation of the table `spread`."""
     alone = all(row["together"] == 1 for rows in part.times.values() for row in rows.values())
-    return MEANING_OF_SPREAD + (MEASURED if alone else SHARED)
+    driven = "Joint motion and cycle time" if any(part.timing.values()) else "Joint motion"
+    return MEANING_OF_SPREAD.format(driven) + (MEASURED if alone else SHARED)
 
 
 def _spread(part: Part, method: str) -> dict:
