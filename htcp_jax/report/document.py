@@ -112,8 +112,8 @@ def html(blocks: Sequence[Block], pictures: dict[str, bytes]) -> str:
     title = next((block.text for block in blocks if isinstance(block, Heading)), "Report")
     anchors = {k: f"section-{k}" for k, block in enumerate(blocks) if isinstance(block, Heading) and block.level > 1}
     parts = [_html(block, pictures, anchors.get(k, "")) for k, block in enumerate(blocks)]
-    if len(anchors) >= LEAST_CONTENTS:  # after the title and its paragraphs
-        first = next(k for k, block in enumerate(blocks) if k in anchors or isinstance(block, Table | Picture))
+    if len(anchors) >= LEAST_CONTENTS:  # before the first section, or after a table there
+        first = next((k + 1 for k in range(min(anchors)) if isinstance(blocks[k], Table)), min(anchors))
         parts.insert(first, _contents({anchor: blocks[k] for k, anchor in anchors.items()}))
     return Template(PAGE.read_text()).substitute(title=escape(title), body="\n".join(parts))
 
