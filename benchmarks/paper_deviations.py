@@ -164,7 +164,7 @@ def cmaes(runs: Runs) -> None:
 
 
 def cmaes_box(runs: Runs) -> None:
-    """CMA-ES without |w| = 1: samples of any length, in a box or with a penalty; re-anchoring after the last step only."""
+    """CMA-ES without |w| = 1: samples of any length, in a box or penalised; re-anchoring after the last step only."""
 
     def minimise(sigma, first, limit, penalty, is_unit, problem, seen, key, settings):
         population, dimension = settings.population, problem.curvature.shape[0]
