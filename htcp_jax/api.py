@@ -427,6 +427,7 @@ class Plan:
                 runs.tables.joint_columns(self.robot),
                 self.manipulability[None],
                 runs.tables.follower_columns(self.robot, self.plans.x),
+                None if self.tool_angles is None else self.tool_angles[None],
             )
         )
 

@@ -47,7 +47,7 @@ FitTolerance = Annotated[
     str | None,
     typer.Option(
         metavar="LENGTH",
-        help="Fit more capsules: on the last two links and the tool, until 95 % of the capsules' surface is this close "
+        help="Fit more capsules to the last two links and the tool, until 95 % of the capsules' surface is this close "
         "to the mesh, for example 5mm.",
     ),
 ]

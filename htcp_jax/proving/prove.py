@@ -82,8 +82,8 @@ def prove(
         margin_m: Required clearance [m].
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
-        kept: Share of the clearance at an interval's middle that is proven on the interval: larger shares guarantee
-            more clearance and take longer.
+        kept: Share of the clearance at an interval's middle that the proof guarantees on the whole interval. A larger
+            share gives a larger guaranteed clearance and takes longer.
         device: The device; None: a GPU if there is one.
 
     Returns:

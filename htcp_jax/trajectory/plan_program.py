@@ -29,7 +29,7 @@ from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
 from htcp_jax.trajectory.exact_corners import with_exact_corners
-from htcp_jax.trajectory.file_motion import file_motion
+from htcp_jax.trajectory.file_motion import MaxPoints, file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
 from htcp_jax.trajectory.joint_torques import (
@@ -80,14 +80,14 @@ class PlanProgram(NamedTuple):
         pieces = sum(blend.on_process for blend in self.program.blends)
         return max(0, pieces - int((counts > 1).sum()))
 
-    def text(self, format: str, name: str, step_s: float | None = None, max_points: int | None = None) -> str:
+    def text(self, format: str, name: str, step_s: float | None = None, max_points: MaxPoints = None) -> str:
         """Return the text of the program's file.
 
         Args:
             format: Name of the format in `writers.FORMATS`.
             name: Name of the program.
             step_s: Time between samples; None: the format's default, see `writers.ProgramFormat`.
-            max_points: Maximum number of configurations; None: those of the time step.
+            max_points: Maximum number of configurations, or "fewest", see `file_motion`; None: those of the time step.
 
         Raises:
             InputError: If `in_file`, `program_text` or `controller` raises it.
@@ -111,7 +111,7 @@ class PlanProgram(NamedTuple):
             timed = with_exact_corners(self.robot, timed, self.job.settings.tube_m)
         return program_files(format, timed, self.controller(format, name, timed))
 
-    def timed(self, format: str, step_s: float | None = None, max_points: int | None = None) -> TimedMotion:
+    def timed(self, format: str, step_s: float | None = None, max_points: MaxPoints = None) -> TimedMotion:
         """Return the samples of the motion that a format contains, see `text`.
 
         Raises:
@@ -119,7 +119,7 @@ class PlanProgram(NamedTuple):
         """
         return self._with_axes(format, self.in_file(format, step_s, max_points).timed)
 
-    def in_file(self, format: str, step_s: float | None = None, max_points: int | None = None) -> FileMotion:
+    def in_file(self, format: str, step_s: float | None = None, max_points: MaxPoints = None) -> FileMotion:
         """Return the configurations that a format contains, without joints that follow others, see `file_motion`.
 
         Raises:
