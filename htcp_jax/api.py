@@ -400,12 +400,13 @@ class Plan:
             nearest = self._nearest_at(refused)
             facts["segment"] = refused.description(nearest.description if nearest else "")
             facts |= failure_texts.aim(refused, self.job)
+        start_m = None if self.start_cause is None or not self.start_cause.depth_m < 0 else -self.start_cause.depth_m
         lack_m = np.inf
         if nearest is not None and "workpiece" in nearest.other:
             lack_m = nearest.depth_m + (self.job.margin_m if refused is None else refused.margin_m)
         facts |= failure_texts.coarse_mesh(self.workpiece.covering_radius_m, lack_m)
         spacing = denser_spacing(self.workpiece.covering_radius_m, lack_m)
-        facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments, spacing)
+        facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments, spacing, start_m)
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message
         return facts

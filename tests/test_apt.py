@@ -234,7 +234,7 @@ def test_g_code_and_columns_are_refused(tmp_path):
     with pytest.raises(InputError, match="G-code is not read"):
         read(tmp_path, "X1\n", "part.nc")
     for text in ("%\nG90\nG21\nG01 X1 Y2 Z3 A10 C20\n", "N10 G1 X1 Y2 Z3\nN20 X2 Y2 Z3\n"):
-        with pytest.raises(InputError, match="line [23]: G-code is not read"):
+        with pytest.raises(InputError, match=r"line [23]: G-code is not read"):
             read(tmp_path, text, "part.txt")
     with pytest.raises(InputError, match="line 1: G-code is not read"):
         read(tmp_path, "X1 Y2 Z3 A10 C20\n")

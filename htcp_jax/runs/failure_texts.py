@@ -1,5 +1,6 @@
 """Text about a plan that ends early: the reason, the clearance next to the one aimed at, and the next command."""
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -88,6 +89,7 @@ def next_step(
     job: PlanConfig,
     given: str,
     spacing_m: float | None = None,
+    start_m: float | None = None,
 ) -> dict[str, str]:
     """Return a line with one command to run next, for a plan that ends early; {} if none is known.
 
@@ -98,11 +100,16 @@ def next_step(
         job: The job.
         given: The job as arguments of a command.
         spacing_m: Spacing of points on the part's mesh at which the plan may succeed; None if no spacing helps.
+        start_m: Largest clearance found at the first target, if it is less than the margin; else None.
     """
     if spacing_m is not None:
         change = f"--set {KEY}={spacing_m:g}"
         return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   covers the part's mesh more densely"}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
+    if end.status == Status.NO_START and start_m is not None:
+        digit = 10.0 ** (math.floor(math.log10(start_m)) - 1)
+        change = f"--set margin_m={math.floor(start_m / digit) * digit:.2g}"
+        return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   requires what was found there"}
     if end.status == Status.NO_START:
         return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
     if end.status not in MEASURED:
