@@ -10,8 +10,7 @@ import numpy as np
 from htcp_jax.cli.output import print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep_or_job
-from htcp_jax.model import denser_spacing
-from htcp_jax.model.surface import KEY
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.reachability import ToolClearance, tool_clearances
 from htcp_jax.report import reach_study
 from htcp_jax.runs import failure_texts
@@ -74,7 +73,7 @@ def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
     lack_m = float(found.margin_m[k] - found.clearance_m[0, k])
     if not clear.all() and (spacing := denser_spacing(covering_radius_m, lack_m)):
         facts |= failure_texts.coarse_mesh(covering_radius_m, lack_m)
-        facts["try first"] = f"--set {KEY}={spacing:g}, which covers the part's mesh more densely"
+        facts["try first"] = f"--set {surface.KEY}={spacing:g}, which covers the part's mesh more densely"
     facts["longer wire"] = _longer_text(found)
     if found.ignored:
         rows = ", ".join(f"task.{number}" for number in found.ignored)

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import mm_text
-from htcp_jax.model import denser_spacing
-from htcp_jax.model.surface import KEY
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -103,7 +102,7 @@ def next_step(
         start_m: Largest clearance found at the first target, if it is less than the margin; else None.
     """
     if spacing_m is not None:
-        change = f"--set {KEY}={spacing_m:g}"
+        change = f"--set {surface.KEY}={spacing_m:g}"
         return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   covers the part's mesh more densely"}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
     if end.status == Status.NO_START and start_m is not None:
