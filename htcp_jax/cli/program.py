@@ -188,7 +188,7 @@ def program(
         what = f"the arm stops within a seam ({stops} stops), and the outputs of program.process stay on"
         warnings.warn(f"{what}: {why}", stacklevel=1)
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
-    facts = program_facts.near_part(made.job)
+    facts = program_facts.near_part(made.job) | program_facts.way_back(made.job, made.program)
     facts["torque"] = program_facts.torque_text(torque)
     paths = write_files(out, files)
     note_limits(format, len(file.timed.x), len(files) - 1)

@@ -22,7 +22,7 @@ from htcp_jax.model import Robot, joints_between, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
-from htcp_jax.spec import PlanConfig, config_file, feed, strict_model
+from htcp_jax.spec import PlanConfig, config_file, feed, split_name, strict_model
 from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
@@ -191,7 +191,7 @@ class PlanProgram(NamedTuple):
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
             tool_name=requested.tool_name,
-            tcp=self._planned_tcp(),
+            tcp=planned_tcp(self.job, self.robot),
             coupled=self._coupled(format),
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=encoder_scale(self.job, self.robot),
@@ -212,13 +212,6 @@ class PlanProgram(NamedTuple):
         if requested.on == "workpiece":
             T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world
         return UserFrame(requested.number, T_world, flags)
-
-    def _planned_tcp(self) -> PlannedTcp:
-        """Return the TCP relative to the flange if the job mounts a tool, else relative to the last joint's frame."""
-        if (tool := self.job.robot.tool) is None:
-            return PlannedTcp(self.robot.all_joint_names[self.robot.tcp_link], np.asarray(self.robot.T_link_tcp, float))
-        longer = tools.pose((0.0, 0.0, self.job.robot.tool_extension_m), (0.0, 0.0, 0.0))
-        return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
         requested = self.job.program.coupled
@@ -404,3 +397,19 @@ def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
             raise InputError(f"--set {key}: the plan is saved; only keys of {SECTION}* can be changed")
         config_file.put_key(raw, key, value)
     return job.model_copy(update={"program": strict_model.validate_model(raw, PlanConfig, "--set").program})
+
+
+def planned_tcp(job: PlanConfig, robot: Robot) -> PlannedTcp:
+    """Return the TCP relative to the frame that carries the job's tool, else relative to the last joint's frame."""
+    link, T_link_tcp = robot.tcp_link, np.asarray(robot.T_link_tcp, float)
+    if (tool := job.robot.tool) is not None:
+        longer = tools.pose((0.0, 0.0, job.robot.tool_extension_m), (0.0, 0.0, 0.0))
+        return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
+    if job.tool.model is not None:
+        names = job.tool.parent, split_name(job.tool.parent)[1]
+        carrier = next((frame for frame in robot.frames if frame.name in names and frame.link == link), None)
+        if carrier is not None:
+            T = np.eye(4)
+            T[:3] = np.column_stack([*carrier.columns, carrier.origin_m])
+            return PlannedTcp(f"{carrier.name}, which carries the tool", np.linalg.inv(T) @ T_link_tcp)
+    return PlannedTcp(robot.all_joint_names[link], T_link_tcp)
