@@ -224,5 +224,6 @@ def test_the_objective_takes_settings_as_a_mapping():
     arm, duct = made_once.robot(), made_once.duct()
     where = htcp_jax.make_scenario(arm, duct, made_once.START)
     scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(made_once.START), jnp.array([1.0, 0.0, 0.0])
-    plain, weighed = (float(htcp_jax.null_space_objective(*scene, s)) for s in (None, {"j1_weight": 1.0}))
-    assert weighed > plain
+    paper = Settings.paper()
+    plain, weighed, same = (float(htcp_jax.null_space_objective(*scene, s)) for s in (None, {"j1_weight": 1.0}, paper))
+    assert weighed == same == pytest.approx(plain + paper.alpha_rad**2, abs=1e-12)  # the paper's Q: J1 = |alpha w|^2
