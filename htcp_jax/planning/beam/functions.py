@@ -15,7 +15,7 @@ from htcp_jax.clearance import Scene, clearance
 from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.device import Loop, lane_function
 from htcp_jax.model import kinematics, reanchor
-from htcp_jax.motion import Problem, lane_inputs, motion_check, step_functions
+from htcp_jax.motion import Problem, lane_inputs, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import solve_step, step_qp
@@ -219,4 +219,4 @@ def inputs_and_tubes(
         turns: True for the tubes of self-motions, False for those of segments.
     """
     inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
-    return inputs, motion_check.tubes(problem, scenario, target + turns, np.full(len(target), turns))
+    return inputs, problem.tubes(scenario, target + turns, turns=turns)
