@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
@@ -36,7 +36,7 @@ def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     """Move a configuration to the lane's target by inverse kinematics."""
     robot, task = scene.robot, scene.task
     x, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
-    D = clearance(robot, scene.obstacles, lane, x)
+    D = minimum_clearance(robot, scene.obstacles, lane, x)
     return Brought(x, D, task.residual_at(robot, x, lane.target), tcp_position(robot, x))
 
 

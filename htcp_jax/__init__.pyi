@@ -1,4 +1,3 @@
-from . import clearance
 from .api import Plan, methods, plan
 from .clearance.obstacles.linearisation import linearise
 from .clearance.obstacles.obstacles import clearances, minimum_clearance
@@ -56,7 +55,6 @@ __all__ = [
     "capsule_point_distance",
     "capsule_segments",
     "charts",
-    "clearance",
     "clearances",
     "gp50",
     "jacobian",

@@ -8,7 +8,7 @@ import made_once
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.model.built_in_rows import AxisTowards
 from htcp_jax.model.inverse_kinematics import reanchor, within_limits
 from htcp_jax.model.kinematics import jacobian, tcp_pose, tcp_position
@@ -175,7 +175,7 @@ def test_the_gradient_of_the_clearance_by_the_tools_length_and_the_parts_place_i
         longer = lengthen_tool(arm, extension_m)
         moved = replace(where, T_world_workpiece=jnp.asarray(where.T_world_workpiece).at[:3, 3].add(shift_m))
         on_target, _ = reanchor(longer, x, p + shift_m, 1e-11)
-        return clearance(longer, obstacle, moved, on_target)
+        return minimum_clearance(longer, obstacle, moved, on_target)
 
     at = jnp.zeros(()), jnp.zeros(3)
     for k, slope in enumerate(jax.jit(jax.grad(D, argnums=(0, 1)))(*at)):

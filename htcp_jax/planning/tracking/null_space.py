@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.backend import backend
-from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearance, clearances, contacts
+from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearances, contacts, minimum_clearance
 from htcp_jax.clearance.obstacles import ContactModel, hold_contacts, predict_distances
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics, reanchor
@@ -87,7 +87,7 @@ def sphere_problem(
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
         if not settings.include_proximal_bodies:
             return jnp.min(clearances(robot, obstacles, where, x) + far) - j1
-        return clearance(robot, obstacles, where, x) - j1
+        return minimum_clearance(robot, obstacles, where, x) - j1
 
     def predicted(w, held):
         value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
@@ -189,7 +189,7 @@ def anchor(
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
     return step_functions.State(
-        x, clearance=clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
+        x, clearance=minimum_clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
     )
 
 
