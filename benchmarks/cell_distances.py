@@ -139,9 +139,8 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     ring.apply_translation(RING_AT)
     x = drawn(robot, count)
     world = World(np.eye(4), np.zeros(4))
-    ours = np.asarray(
-        jax.jit(lambda x: jax.lax.map(partial(minimum_clearance, robot, (hoop,), world), x))(jnp.asarray(x))
-    )
+    D = partial(minimum_clearance, robot, (hoop,), world)
+    ours = np.asarray(jax.jit(lambda x: jax.lax.map(D, x))(jnp.asarray(x)))
     _, p, q, *_ = arm.arm_poses(x)
     places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
     apart = np.array([_to_triangles(ring, each) for each in places])

@@ -24,6 +24,7 @@ from .report.reach_study import reach_study
 from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
+from .settings import Settings
 from .spec.obstacle_kind import ObstacleKind, ObstacleShape
 from .spec.task_list import AxisRow, OrientationRow, PointRow
 from .spec.task_row_kind import TaskRowKind
@@ -48,6 +49,7 @@ __all__ = [
     "PointCloud",
     "PointRow",
     "Problem",
+    "Settings",
     "Status",
     "TaskRowKind",
     "TriangleMesh",

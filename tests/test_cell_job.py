@@ -263,9 +263,8 @@ def test_a_plan_next_to_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the
     aside = np.linalg.svd((q - p)[None])[2][1]
     job["cell"] |= {"moved": "post", "shift_m": (0.5 * (p + q) + 0.06 * aside - [2, 2, 1]).tolist()}
     plan = htcp_jax.plan(job)
-    alone = jax.jit(
-        jax.vmap(partial(minimum_clearance, plan.robot, htcp_jax.make_obstacle(plan.workpiece), plan.scenario))
-    )
+    duct = htcp_jax.make_obstacle(plan.workpiece)
+    alone = jax.jit(jax.vmap(partial(minimum_clearance, plan.robot, duct, plan.scenario)))
     tracked = plan.plans.tracked[0]
     assert tracked.any() and (alone(plan.plans.x[0, tracked]) > plan.plans.clearance[0, tracked] + 1e-3).all()
     plan.save(tmp_path / "plan")
