@@ -28,7 +28,7 @@ def reanchor(
 
     The damping (1e-3 m/rad)^2 bounds the steps at singularities; elsewhere it shortens a Newton step by about 1e-6 of
     its length. A joint at its limit stays there while the others compensate. A violated band or cone adds a row to the
-    step's equations.
+    step's equations. The derivative is that of the steps, in forward and in reverse mode.
 
     Args:
         robot: The robot.
