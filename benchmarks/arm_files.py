@@ -347,7 +347,7 @@ def _cells(found: dict[str, Any]) -> str:
     return f"{joints} | {found['position_m']:.0e} | {limits} | {len(found['followers'])}{followers} | {measured}"
 
 
-PAGE_TEXT = """# Arms that were tried
+PAGE_TEXT = """# Tested robot models
 
 `htcp robot` was run on {count} files with arms of {makers} makers, all from packages of PyPI: {taken} were imported,
 {refused} refused. {compared} of them were compared with an independent reader of the original file, at 100 random

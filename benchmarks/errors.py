@@ -135,7 +135,7 @@ def stated(dof: int, kind: int, seed: int) -> ErrorsConfig:
     tool = {"shift_m": size(1e-3), "turn_rad": size(3e-3)}
     joints = (5e-4 * draw.uniform(0.1, 1, dof)).tolist()
     every = {"part": part, "tool": tool, "joints_rad": joints, "cloud_m": 2e-4}
-    chosen = [{"part": {"shift_m": 1e-3}}, {"part": part}, {"part": part, "tool": tool}]
+    chosen = [{"part": {"shift_m": part["shift_m"]}}, {"part": part}, {"part": part, "tool": tool}]
     chosen += [{"tool": tool, "joints_rad": joints}, every]
     return ErrorsConfig.model_validate(chosen[kind % len(chosen)])
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks gpu [--against REVISION | --trees COMMIT=OLD COMMIT=NEW] [--methods A,B] [--scenarios N]
         [--runs N] [--device gpu[:N]|cpu] [--config FILE] [--options=WORDS] [--old-options=WORDS] [--work DIR]
-    python -m benchmarks gpu --readme    copy the record's rows into README.md and docs/results.md
+    python -m benchmarks gpu --readme    copy the record's rows into README.md
     python -m benchmarks gpu --check     exit with 1 if the planning code differs from the record's
 
 `htcp sweep sweeps/cross.yaml` runs in turns with the other revision and with this tree: first the paper's six methods
@@ -40,7 +40,7 @@ from htcp_jax.caching.cache_key import CORE
 from htcp_jax.errors import InputError
 
 RECORD, TRIAL = ROOT / "benchmarks/gpu.json", ROOT / "build/gpu.json"
-PAGES = ROOT / "README.md", ROOT / "docs/results.md"
+README = ROOT / "README.md"
 OPTIONS = "--set settings.qp=device --shard 8192"
 SWEEPS = {  # methods, options, and the words of README
     "six methods": (SIX.split(","), [], "by six methods, all motions proven"),
@@ -57,8 +57,8 @@ def main() -> int:
         if requested.check:
             return check(ROOT, loaded(RECORD))
         if requested.readme:
-            for page in PAGES:
-                page.write_text(with_rows(page.read_text(encoding="utf-8"), loaded(RECORD)), encoding="utf-8")
+            page = with_rows(README.read_text(encoding="utf-8"), loaded(RECORD))
+            README.write_text(page, encoding="utf-8")
             return 0
         with contextlib.ExitStack() as stack:
             work = requested.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -259,7 +259,7 @@ def ending(found: dict[str, Any]) -> str:
     return ", ".join(wrong + [f"contact of {name}" for name in found["motion"]["hits"]]) or "a figure of the motion"
 
 
-PAGE_TEXT = """# Jobs of strangers
+PAGE_TEXT = """# Jobs on published arms
 
 {count} of {listed} jobs on published arms were planned by the command, as a user would, and checked with programs that
 share no code with `htcp_jax`: all verdicts are true in {true}. The arms are files of pinned packages of PyPI, which
@@ -270,8 +270,8 @@ share no code with `htcp_jax`: all verdicts are true in {true}. The arms are fil
 - **Reachable targets.** The configurations of all {reachable} were checked in the same way.
 - **Excluded targets.** From 5,000 random configurations at each of {excluded} excluded targets, an independent inverse
   kinematics found {solutions} solutions on the target. Targets with a solution in which neither the tool nor the arm is
-  nearer to the part than the margin: {counterexamples}. At {controls} targets called reachable 500 starts found such a
-  solution in {broken}.
+  nearer to the part than the margin: {counterexamples}. As a control, the same search with 500 starts found such a
+  solution at {broken} of {controls} reachable targets.
 - **Undecided targets**: {undecided}.
 
 `make strangers` repeats this. The jobs are in `benchmarks/stranger_jobs.yaml`, the checks in
@@ -287,7 +287,7 @@ They run in an environment of their own:
 - **processor**: processor time of `htcp robot`, `htcp plan` and `htcp reachability --each` [s], compilation included.
 - **compile, plan**: seconds that `htcp plan` states for compilation and for planning.
 
-Times are from {hardware}, which other work shared, of the commits
+Times are from {hardware}, shared with other work, at the commits
 {commits}. Some executables were in the cache.
 
 | job | | arm | planned | segments | distance | each target | processor | compile, plan | verdicts |

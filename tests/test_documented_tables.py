@@ -52,6 +52,15 @@ def test_objects_are_shown_by_the_names_that_users_import(monkeypatch):
         assert hasattr(htcp_jax, name.rpartition(".")[2])
 
 
+def test_the_start_page_is_readme_with_links_of_the_site(monkeypatch):
+    monkeypatch.syspath_prepend(HOOKS)
+    hook = pytest.importorskip("readme")
+    page = hook.on_page_markdown((HOOKS.parent / "index.md").read_text())
+    links = [link.partition("#")[0] for link in re.findall(r"\]\((?!https?:)([^)]+)\)", page)]
+    assert "make demo" in page and len(links) > 30
+    assert [link for link in links if not (HOOKS.parent / link).is_file()] == []
+
+
 def test_every_page_with_generated_parts_says_so_and_the_site_does_not(tables):
     """Regression: such a page looks empty on a code host."""
     generated = re.compile(r"^(::: |--8<-- )", re.MULTILINE)

@@ -47,8 +47,8 @@ Errors = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.yaml",
-        help="Half-widths of errors of the part's place, the tool, the joints and the cloud, in place of the job's "
-        "section errors. The largest scale of them that stays proven is printed.",
+        help="Half-widths of errors of the part's pose, the tool, the joints and the cloud, in place of the job's "
+        "section errors. Prints the largest factor by which all of them can be multiplied.",
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]

@@ -247,10 +247,10 @@ class Plans(NamedTuple):
         return self._replace(**wider)
 
     def with_targets(self, row: Int[np.ndarray, "S R"], exists: Bool[np.ndarray, "S R"]) -> "Plans":
-        """Return the plans with copies of other targets; via points and dead ends remain those of the old ones.
+        """Return plans whose targets are copies of these plans' targets; via points and dead ends are not changed.
 
         Args:
-            row: Index of the old target for each new one.
+            row: For each target of the result, the index of the target to copy.
             exists: True for existing targets.
         """
         s, found = np.arange(len(row))[:, None], dict[str, Any]()

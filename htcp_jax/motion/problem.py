@@ -75,9 +75,9 @@ class Problem:
     """Input of a method: S scenarios with up to T targets, arm, workpiece and obstacles, and how to execute it.
 
     `Problem.of` makes a problem. It is final: before a method gets it, starts are chosen and scenarios are refused. Its
-    arrays are read-only. `progress` has two arguments: the numbers of newly tracked targets and of newly finished
-    scenarios. Optional ones are the number of scenarios whose start was newly chosen, and that of configurations that
-    were drawn to find one. It may be called at any time, on any thread; an exception in it ends planning.
+    arrays are read-only. `progress` takes the numbers of newly tracked targets and of newly finished scenarios, and
+    optionally of starts newly chosen and of configurations drawn to find them. It may be called at any time, on any
+    thread; an exception in it ends planning.
     """
 
     robot: Robot  # without the scenarios' own tool extensions, see `model.robot.lengthen_tool`
@@ -217,7 +217,7 @@ class Problem:
         return np.array([name in self.robot.indexed for name in self.robot.joint_names])
 
     def with_still_joints(self, inputs: LaneInputs, scenario: Rows, target: Rows) -> LaneInputs:
-        """Return inputs of lane functions with the joints that must not move on segments; the same without any.
+        """Return inputs of lane functions that name the joints which must not move; unchanged if there are none.
 
         Args:
             inputs: The inputs.
@@ -270,8 +270,8 @@ class Problem:
         """Call work(checker, share) in every thread, and return the results.
 
         Args:
-            work: Function of the checker of the thread's device, and of a slice that selects the thread's share of the
-                rows of any table.
+            work: Function of the collision checker of the thread's device and of a slice. The slice selects the rows
+                of a table that this thread computes, for example the scenarios `to_plan[share]`; it writes no others.
             threads: Number of threads; None: `self.threads`.
         """
         checkers, threads = self.checkers, threads or self.threads  # checkers are made before there are threads

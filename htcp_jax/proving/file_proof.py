@@ -133,10 +133,10 @@ def prove_file(
         margin_m: Required clearance [m].
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
-        tracking_m: That of sliding joints, if `tracking_rad` is one value [m]; None: required if there are any.
-        errors: Half-widths of errors, in place of the job's: a YAML file, or a mapping with its keys. The proof then
-            has the largest scale of them up to which the motion stays proven.
-        kept: See `htcp_jax.prove`.
+        tracking_m: The same for prismatic joints [m]; required if there are any and `tracking_rad` is one value.
+        errors: Half-widths of errors, in place of the job's: a YAML file, or a mapping with its keys. The proof
+            then also has the largest factor by which all of them can be multiplied while the motion stays proven.
+        kept: Share of the clearance that the proof guarantees, see `htcp_jax.prove`.
         device: The device; None: a GPU if there is one.
         progress: Function that is called with the current step as text, and the numbers of finished and all parts.
 

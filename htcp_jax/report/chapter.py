@@ -32,9 +32,9 @@ BLOCKED = (
     "checks this. Tracked before it: the tracked targets before each scenario's first blocked step."
 )
 PAIRED = (
-    "Number of scenarios in which a method has more, fewer or equally many executable targets as the best method. "
-    "p: probability of a split at least as uneven if neither method is better (sign test). The test takes scenarios as "
-    "independent. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
+    "Number of scenarios in which a method has more or fewer executable targets than the best method, or as many. "
+    "p: probability of a split at least as uneven if neither method is better (sign test). It assumes independent "
+    "scenarios. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
 )
 MANIPULABILITY = (
     "Manipulability is the smallest singular value of the task's Jacobian: the lowest tool speed at a joint velocity "

@@ -48,7 +48,7 @@ def results(part: Part) -> Table:
 def pairs(part: Part) -> Table:
     """Return the table that compares every other method with the best one, which has the most executable targets.
 
-    It counts the scenarios in which a method has more, fewer or equally many executable targets. The p-value is of
+    It counts the scenarios in which a method has more, fewer or as many executable targets. The p-value is of
     the exact two-sided sign test over the scenarios that both have planned and in which they differ; None without any.
     """
     counts = {method: plans.executable.sum(axis=1) for method, plans in part.plans.items()}

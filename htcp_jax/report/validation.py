@@ -153,7 +153,7 @@ def notes(found: dict[str, Any]) -> list[str]:
     if any(check.get("clearance_off_max_mm") is not None for check in found["methods"].values()):
         lines.append(
             "Differs from plan: the largest difference between a target's clearance in the plan and MuJoCo's. Where "
-            "the plan's is a lower bound, as for meshes and convex pieces, only a smaller one of MuJoCo's counts."
+            "the plan's is a lower bound, as for meshes and convex pieces, it counts only if MuJoCo's is smaller."
         )
     lines += found.get("unchecked", ())
     if found.get("excluded"):
@@ -175,7 +175,7 @@ def notes(found: dict[str, Any]) -> list[str]:
         lines.append(
             f"Joint speeds are for a feed rate of {found['feed_mm_s']:g} mm/s and proportional to it. The limits are "
             "from the model file, for the GP50 from its data sheet. In place: the joint change from the start to the "
-            "first target, and between targets closer together than the tolerance; the feed rate sets no time for it."
+            "first target, and between targets closer together than the tolerance. The feed rate sets no time."
         )
     elif any(check["paths"] for check in found["methods"].values()):
         lines.append("There are no joint speeds, because the model file has no velocity limits.")

@@ -63,10 +63,9 @@ def test_rows_replace_those_of_an_older_record_and_leave_the_others(record):
     assert new == f"{gpu.rows(record)[0]}\n".join(kept)
 
 
-@pytest.mark.parametrize("page", gpu.PAGES, ids=lambda page: page.name)
-def test_the_rows_on_gpus_are_those_of_the_record(page):
+def test_the_rows_of_readme_on_gpus_are_those_of_the_record():
     """If this fails: python -m benchmarks gpu --readme."""
-    assert gpu.quoted(page.read_text(encoding="utf-8")) == gpu.rows(RECORD)
+    assert gpu.quoted(gpu.README.read_text(encoding="utf-8")) == gpu.rows(RECORD)
 
 
 def test_the_record_describes_the_commit_that_it_names(tmp_path):

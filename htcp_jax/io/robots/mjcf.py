@@ -34,14 +34,15 @@ FOLLOWERS_HEAD = """
     Joints that follow others: q = ref + c0 + c1 (q2 - ref2).
     """
 LIST_HEAD = """
-    Pairs of capsules that are not checked against each other (docs: Bring your own arm, Self-collision). Rule b: they
-    overlap in at least 95 % of 10,000 random configurations; c: in some, but the meshes in them touch in none. The
-    number is the share. Remove a pair to have it checked; bodies under contact are excluded by the model, rule a.
+    Pairs of capsules that are not checked against each other (docs/cell.md, Self-collision). Rule b: the capsules
+    overlap in at least 95 % of 10,000 random configurations. Rule c: they overlap in some, but the links' meshes touch
+    in none. The number is the share of configurations in which they overlap. Remove a pair to have it checked. The
+    pairs of bodies under contact are those that the model excludes, rule a.
     """
 PIECES_HEAD = """
-    A convex piece about the part of the mesh in each fitted capsule: vertices in the frame of the capsule's body, and a
-    radius that thickens it. Ignored once the capsule was changed. The excess is the largest distance of the capsule's
-    surface from the mesh, where it is in no other capsule of the body.
+    For each fitted capsule the convex piece around the part of the mesh inside it: vertices in the frame of the
+    capsule's body, and a radius by which their hull is thickened. If you change a capsule, its piece is ignored. The
+    excess is the largest distance of the capsule's surface from the mesh, except inside other capsules of the body.
     """
 MANY = {"mesh": "meshes", "box": "boxes", "cylinder": "cylinders", "ellipsoid": "ellipsoids"}
 
