@@ -13,6 +13,7 @@ import toy
 import yaml
 from test_json_schemas import fits
 
+import htcp_jax
 from htcp_jax import sequencing
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -293,10 +294,10 @@ def plans_of(folder, *seams, **changes):
     """Return the variants and the proven motions of a job's seams, and the progress while they were planned."""
     job, robot = build.with_robot(load_config(write_job(folder, *seams, **changes)), "job")
     found, seen = seam_scenarios.seam_scenarios(job, robot), []
-    task, obstacles = build.task_of_job(job, robot), build.obstacles_of(job.cell, robot)
+    (task,), obstacles = found.tasks, build.obstacles_of(job.cell, robot)
     problem = Problem.of(robot, found.workpiece, found.scenarios, job.settings, task, obstacles)
     home, speed = np.asarray(problem.scenarios.x_home[0]), np.ones(len(robot.joint_names))
-    made = sequencing.plan_seams(problem, found.variants, home, speed, methods.find(job.method), seen.append)
+    made = sequencing.plan_seams([problem], found.variants, home, speed, methods.find(job.method), seen.append)
     moves = sequencing.moves_between(problem, made.found, home, speed)
     return found, made.found, moves, seen
 
@@ -435,17 +436,64 @@ def test_the_own_keys_of_the_only_seam_are_those_of_the_job(tmp_path):
     assert job.workpiece.seams[0].task == () and job.workpiece.seams[0].margin_m is None
 
 
-@pytest.mark.parametrize("task, words", [
-    ([POINT], "its task has the rows point tcp; the job's: point tcp, axis tcp.z; a seam's task has the rows of"),
-    ([POINT | {"within_m": 1e-3}, AXIS], "task.1 (point tcp) has a tolerance, but the job's has none; a seam's"),
-    ([POINT, AXIS | {"axis": "tcp.x"}], "task.2 (axis tcp.x) is of another kind than the job's (axis tcp.z); a seam's"),
-    ([POINT, AXIS | {"towards": "path.normal", "axis": "top.z"}], "task.2: "),
-])  # fmt: skip
-def test_a_task_of_a_seam_with_other_kinds_of_rows_is_refused_in_one_line(tmp_path, capsys, task, words):
-    file = write_job(tmp_path, LEFT, RIGHT | {"task": task}, task=[POINT, AXIS])
+TORCH = {"tool_axis": "-tcp.z", "work_angle_deg": [-60, 60], "travel_angle_deg": [-80, 80]}
+TACKS = {"name": "tacks", "path": "path.csv", "rows": [6, 2], "points": True, "task": [POINT]}
+
+
+@pytest.fixture(scope="module")
+def with_other_rows(tmp_path_factory):
+    """Folder of a plan whose seams have a cone, angles of a torch, and points without an orientation."""
+    folder = tmp_path_factory.mktemp("rows")
+    seams = LEFT, RIGHT | {"task": [POINT, TORCH], "margin_m": 0.002}, TACKS
+    file = write_job(folder, *seams, task=[POINT, AXIS])
+    assert main(["plan", str(file), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def test_seams_with_other_kinds_of_rows_are_one_motion_that_the_validation_confirms(with_other_rows):
+    assert len(summary(with_other_rows)["order"]["visits"]) == 4
+    assert main(["validate", str(with_other_rows)]) == 0
+    rows = json.loads((with_other_rows / "validation.json").read_text())["methods"]["beam"]["rows"]
+    assert [row["row"] for row in rows] == ["task.1: point tcp", "task.2: axis tcp.z", "task.2: tool_axis -tcp.z"]
+    assert all(row["off"] <= row["most"] < 1e6 for row in rows)
+
+
+def test_only_a_seam_with_angles_of_a_torch_has_them_in_tables_and_pictures(with_other_rows):
+    rows = rows_of(with_other_rows, "trajectory.csv")
+    assert {row["seam"] for row in rows if row["work_angle_deg"]} == {"right"}
+    plan = htcp_jax.open_plan(with_other_rows)
+    ((here, row),) = plan.tool_axis_rows
+    assert plan._seam_names[here] == ["right"] * 5 and row.work_angle_deg == (-60, 60)
+
+
+def test_a_row_that_only_one_seam_has_is_validated_on_this_seam_alone(with_other_rows, tmp_path):
+    shutil.copytree(with_other_rows, tmp_path / "near")
+    record = json.loads((tmp_path / "near" / "summary.json").read_text())
+    (right,) = [seam for seam in record["config"]["workpiece"]["seams"] if seam["name"] == "right"]
+    right["task"][1]["work_angle_deg"] = [50, 51]
+    (tmp_path / "near" / "summary.json").write_text(json.dumps(record))
+    assert main(["validate", str(tmp_path / "near")]) == 1
+    refuted = json.loads((tmp_path / "near" / "validation.json").read_text())["refuted"]
+    (own,) = [each for each in summary(with_other_rows)["order"]["visits"] if each["name"] == "right"]
+    assert {one["target"] for one in refuted} == set(range(own["first"], own["last"] + 1))
+
+
+def test_a_program_and_its_proof_use_each_seams_own_rows(with_other_rows, tmp_path, capsys):
+    program = str(tmp_path / "program.csv")
+    words = ["program", str(with_other_rows), "--feed", "20mm/s", "--format", "csv", "--check", "--out", program]
+    assert main(words) == 0
+    job = str(with_other_rows.parent / "job.yaml")
+    assert main(["prove", program, "--job", job, "--out", str(tmp_path / "out")]) == 0
+    rows = json.loads((tmp_path / "out" / "proof.json").read_text())["deviation"]["rows"]
+    assert [row["row"] for row in rows] == ["point tcp", "axis tcp.z", "tool_axis -tcp.z"]
+    assert all(row["error"] < 2e-3 for row in rows)
+
+
+def test_an_error_in_a_seams_own_task_names_seam_and_row(tmp_path, capsys):
+    file = write_job(tmp_path, LEFT, RIGHT | {"task": [POINT, AXIS | {"axis": "top.z"}]}, task=[POINT, AXIS])
     assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"seam 'right': {words}" in line
+    assert "seam 'right': task.2: " in line
 
 
 def test_a_path_and_seams_exclude_each_other_in_one_file_and_the_later_one_replaces_the_other(tmp_path):

@@ -247,5 +247,4 @@ def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
 def _deviation(scene: ProofScene, curves: JointCurves, motion: MotionFile) -> PathDeviation | None:
     if not scene.has_part:
         return None
-    rows = () if scene.job is None else tuple(str(row) for row in scene.job.task)
-    return path_deviation(scene.problem, curves, motion.x, motion.kind, rows)
+    return path_deviation(scene.problem, curves, motion.x, motion.kind, scene.tasks)
