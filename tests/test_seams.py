@@ -13,8 +13,7 @@ import toy
 import yaml
 from test_json_schemas import fits
 
-import htcp_jax
-from htcp_jax import sequencing
+from htcp_jax import api, sequencing
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build, load_config, seam_scenarios
@@ -225,6 +224,39 @@ def test_a_proof_of_the_motion_has_the_clearance_that_the_plan_states_for_it_and
     stated = summary(with_own_keys)
     least = min(stated["motion"]["clearance_m"], stated["order"]["retract_clearance_m"])
     assert json.loads((tmp_path / "proof" / "proof.json").read_text())["clearance_m"] == pytest.approx(least, rel=0.01)
+
+
+def proof_of(folder, out, *options) -> tuple[int, dict]:
+    """Exit code and record of the proof of a plan's motion in its job."""
+    motion, job = str(folder / "motion.csv"), str(folder.parent / "job.yaml")
+    code = main(["prove", motion, "--job", job, "--out", str(out), *options])
+    return code, json.loads((out / "proof.json").read_text())
+
+
+def test_a_proof_requires_on_each_seam_its_own_margin_and_states_its_clearance(with_own_keys, tmp_path, capsys):
+    code, record = proof_of(with_own_keys, tmp_path / "own")
+    assert code == 0 and record["margin_m"] == 0
+    fits("proof", record)
+    assert "clearance above 0 mm; on each seam its margin" in (text := " ".join(capsys.readouterr().out.split()))
+    known = {each["seam"]: each for each in record["seams"]}
+    assert {name: each["margin_m"] for name, each in known.items()} == {"left": 0.004, "right": 0.002}
+    for visit in summary(with_own_keys)["order"]["visits"]:
+        own = known[visit["name"]]
+        assert own["clearance_m"] >= own["margin_m"] and own["segments"] == 4 and own["verdict"] == "proven"
+        assert f"{visit['name']} at least {1e3 * own['clearance_m']:.3g} mm" in text
+    larger = f"{1e3 * known['left']['clearance_m'] + 1:g}mm"
+    code, record = proof_of(with_own_keys, tmp_path / "own", "--set", f"seams.1.margin_m={0.001 * float(larger[:-2])}")
+    assert code == 1 and {each["seam"]: each["verdict"] for each in record["seams"]} == {
+        "left": "refuted", "right": "proven"
+    }  # fmt: skip
+
+
+def test_a_margin_of_the_command_line_holds_for_all_seams_and_between_them(with_own_keys, tmp_path):
+    code, record = proof_of(with_own_keys, tmp_path / "none", "--margin", "0mm")
+    assert code == 0 and {each["margin_m"] for each in record["seams"]} == {0}
+    code, record = proof_of(with_own_keys, tmp_path / "large", "--margin", "20mm")
+    assert code == 1 and {each["margin_m"] for each in record["seams"]} == {0.02}
+    assert record["segments_by_verdict"]["below the margin"] > 0
 
 
 def test_a_proof_of_a_file_counts_the_points_that_it_visits(points, tmp_path, capsys):
@@ -461,7 +493,7 @@ def test_seams_with_other_kinds_of_rows_are_one_motion_that_the_validation_confi
 def test_only_a_seam_with_angles_of_a_torch_has_them_in_tables_and_pictures(with_other_rows):
     rows = rows_of(with_other_rows, "trajectory.csv")
     assert {row["seam"] for row in rows if row["work_angle_deg"]} == {"right"}
-    plan = htcp_jax.open_plan(with_other_rows)
+    plan = api.open_plan(with_other_rows)
     ((here, row),) = plan.tool_axis_rows
     assert plan._seam_names[here] == ["right"] * 5 and row.work_angle_deg == (-60, 60)
 
@@ -480,8 +512,9 @@ def test_a_row_that_only_one_seam_has_is_validated_on_this_seam_alone(with_other
 
 def test_a_program_and_its_proof_use_each_seams_own_rows(with_other_rows, tmp_path, capsys):
     program = str(tmp_path / "program.csv")
-    words = ["program", str(with_other_rows), "--feed", "20mm/s", "--format", "csv", "--check", "--out", program]
-    assert main(words) == 0
+    limits = ["--feed", "20mm/s", "--set", "program.velocity=[1, 1, 1, 1]"]
+    words = ["program", str(with_other_rows), "--format", "csv", "--check", "--out", program]
+    assert main([*words, *limits]) == 0
     job = str(with_other_rows.parent / "job.yaml")
     assert main(["prove", program, "--job", job, "--out", str(tmp_path / "out")]) == 0
     rows = json.loads((tmp_path / "out" / "proof.json").read_text())["deviation"]["rows"]

@@ -202,14 +202,7 @@ def _indexed_travel(
     """
     begins = on & ~np.append(False, on[:-1])
     if not is_known:
-        place = _nearest(path, tcp_positions(problem, x))[1]
-        along = np.flatnonzero(on & (np.abs(np.diff(place)) > PROGRESS))
-        seam = np.cumsum(begins)
-        first, last = (np.full(seam[-1] + 1, k) for k in (len(on), -1))
-        np.minimum.at(first, seam[along], along)
-        np.maximum.at(last, seam[along], along)
-        row = np.arange(len(on))
-        on = on & (row >= first[seam]) & (row <= last[seam])
+        on = _leading_along(on, _nearest(path, tcp_positions(problem, x))[1])
     here, found = np.flatnonzero(on[curves.segment]), []
     travel = np.abs(curves.coefficients[here, 1:]).sum(axis=1)
     travel[begins[curves.segment[here], None] & (travel <= ARRIVAL)] = 0.0
@@ -220,6 +213,41 @@ def _indexed_travel(
         segment = int(curves.segment[here[worst]]) if most > 0 else None
         found.append(IndexedTravel(problem.robot.joint_names[joint], slides, most, segment))
     return tuple(found)
+
+
+def _leading_along(on: Bool[np.ndarray, "m"], place: Float[np.ndarray, "m+1"]) -> Bool[np.ndarray, "m"]:
+    """Return those segments near the path that lead along it: without the ends of air moves.
+
+    Args:
+        on: True for segments near the path.
+        place: Places on the path nearest to the configurations, counted in targets.
+    """
+    along = np.flatnonzero(on & (np.abs(np.diff(place)) > PROGRESS))
+    seam = np.cumsum(on & ~np.append(False, on[:-1]))
+    first, last = (np.full(seam[-1] + 1, k) for k in (len(on), -1))
+    np.minimum.at(first, seam[along], along)
+    np.maximum.at(last, seam[along], along)
+    row = np.arange(len(on))
+    return on & (row >= first[seam]) & (row <= last[seam])
+
+
+def seams_of_segments(
+    problem: Problem, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None
+) -> Int[np.ndarray, "n-1"]:
+    """Return the number of the seam that each segment of a motion leads along; -1 for other segments.
+
+    Args:
+        problem: The problem.
+        x: The motion's configurations [rad or m].
+        kind: Kind of each configuration in the motion's file; None: unknown.
+    """
+    path = _path(problem)
+    if path is None:
+        return np.full(len(x) - 1, -1)
+    on = _process(problem, path, x, kind, near_path_m(problem))
+    place = _nearest(path, tcp_positions(problem, x))[1]
+    on = on if _says_process(kind) else _leading_along(on, place)
+    return np.where(on, np.searchsorted(path.begins, place[1:], "right"), -1)
 
 
 def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDeviation | None:
