@@ -13,6 +13,7 @@ import toy
 import yaml
 from test_json_schemas import fits
 
+from benchmarks import order
 from htcp_jax import api, sequencing
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -371,6 +372,17 @@ def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves
     legs = [leg.time_s for leg in (*again.moves, again.retract)]
     steps = [np.abs(np.diff(motion.motions(plan.plans, 0).x, axis=0)).max(axis=1) for plan in again.visits]
     assert again.cost_s == pytest.approx(sum(legs) + sum(each.sum() for each in steps))
+
+
+def test_the_benchmark_compares_a_saved_plan_with_nearest_neighbours_and_plans_nothing(complete, monkeypatch):
+    monkeypatch.setattr(api, "plan", None)
+    lines = list(order.compare_plan(str(complete.parent / "job.yaml"), complete))
+    assert lines[0].startswith("plan: 2 of 2 seams") and "nearest neighbours" in lines[-1]
+    x = np.array([[float(row[f"j{k}_rad"]) for k in range(1, 5)] for row in rows_of(complete)])
+    kinds = [row["kind"] for row in rows_of(complete)]
+    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    air = steps[[kind not in (Kind.PROCESS.name, Kind.DWELL.name) for kind in kinds[1:]]].sum()
+    assert f"{air:.2f} rad" in lines[1]
 
 
 def test_the_stated_gap_compares_an_order_with_its_lower_bound():

@@ -24,7 +24,7 @@ class SeamScenarios(NamedTuple):
     """All variants of a job's seams as scenarios, see `sequencing.Variants`."""
 
     job: PlanConfig  # the job whose seams are the variants
-    workpiece: Workpiece  # its path has the rows of all variants
+    workpiece: Workpiece  # its path has the rows of all variants, as one seam: each scenario is a seam by itself
     scenarios: Scenario  # one for each variant
     variants: Variants
     tasks: list[Task]  # different tasks, by number in `Variants.task`
@@ -59,6 +59,7 @@ def seam_scenarios(job: PlanConfig, robot: Robot) -> SeamScenarios:
     parts = [_rows(whole, robot, a, b) for a, b in pairwise(bounds)]
     names = [each.name for each in seams]
     before = [(names.index(name), k) for k, each in enumerate(seams) for name in each.after]
+    workpiece = workpiece.with_path(workpiece.name, workpiece.path, workpiece.frames, ())
     tasks = tasks_of_targets(job, robot, np.arange(len(own)))
     number = np.argmax([each.here for each in tasks], axis=0)
     variants = Variants(np.array(seam), np.array(reverse), np.array(is_allowed), number)
