@@ -8,8 +8,10 @@
 
 With --plan, a job's plan is compared with a tour of nearest neighbours through the same configurations: joint length,
 turns and time of the air moves. The plan is read from the folder if it is there; otherwise the job is planned and saved
-there. With --job alone, the seams of a job are planned once; then `htcp plan`'s own search, and a search for each seed with ten
-times the effort, find orders of these plans. A proven air move is used by all of them.
+there.
+
+With --job alone, the seams of a job are planned once; then `htcp plan`'s own search, and a search for each seed with
+ten times the effort, find orders of these plans. A proven air move is used by all of them.
 
 A job has seams in a box. A seam has nodes: branches of the arm, and both directions; a point has branches alone. A
 configuration is a smooth function of the position, moved by an offset for its branch, and a move takes as long as the

@@ -672,8 +672,7 @@ def _plan_seams(
 
 def joint_speeds(robot: Robot, job: PlanConfig) -> Float[np.ndarray, "N"]:
     """Return the full speeds of the joints [rad/s or m/s]; 1 where neither the job nor the model limits them."""
-    speed = np.array(job.program.velocity or trajectory.own_rates(robot)["velocity"], float)
-    speed = np.broadcast_to(speed, (len(robot.joint_names),))
+    speed = np.broadcast_to(trajectory.stated_limits(robot, job.program).velocity, (len(robot.joint_names),))
     return np.where(np.isfinite(speed), speed, 1.0)
 
 

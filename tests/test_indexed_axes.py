@@ -130,6 +130,7 @@ def test_in_a_composed_cell_rail_and_positioner_stand_still_on_both_seams(tmp_pa
         "robot": {**job["robot"], "parent": "rail.car"},
         "rail": {"model": str(tmp_path / "rail.urdf"), "indexed": True},
         "positioner": {**job["positioner"], "indexed": True},
+        "program": {"velocity": [1.0] * 6},
         "seams": [{"name": name, "path": path, "rows": [row, 3]} for name, row in (("first", 0), ("second", 4))],
         "settings": {"q_weights": [1.0] * 6, **{name: getattr(toy.SETTINGS, name) for name in SHORT}},
     }

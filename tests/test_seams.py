@@ -534,6 +534,13 @@ def test_a_program_and_its_proof_use_each_seams_own_rows(with_other_rows, tmp_pa
     assert all(row["error"] < 2e-3 for row in rows)
 
 
+def test_a_wrong_number_of_joint_speeds_is_refused_in_one_line(tmp_path, capsys):
+    file = write_job(tmp_path, LEFT, RIGHT, program={"velocity": [1.0] * 5})
+    assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "program.velocity has 5 values, but the robot toy has 4 joints" in line
+
+
 def test_an_error_in_a_seams_own_task_names_seam_and_row(tmp_path, capsys):
     file = write_job(tmp_path, LEFT, RIGHT | {"task": [POINT, AXIS | {"axis": "top.z"}]}, task=[POINT, AXIS])
     assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
