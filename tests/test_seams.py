@@ -534,6 +534,20 @@ def test_a_program_and_its_proof_use_each_seams_own_rows(with_other_rows, tmp_pa
     assert all(row["error"] < 2e-3 for row in rows)
 
 
+def test_only_a_seam_whose_rows_use_normals_needs_them_in_its_file(tmp_path):
+    tilted = {"axis": "tcp.z", "towards": "path.normal", "cone_deg": 60}
+    left = LEFT | {"path": "normals.csv", "task": [POINT, tilted]}
+    rows = [",".join(map(str, [*point, 0, 0, -1])) for point in toy.workpiece().path]
+    job = load_config(write_job(tmp_path, left, RIGHT, start_rad="auto"))
+    (tmp_path / "normals.csv").write_text("\n".join(["x,y,z,nx,ny,nz", *rows, ""]))
+    *_, scenario = build.resolved_scene(job)
+    np.testing.assert_allclose(scenario.goals[:6, 3:], [[0, 0, -1, np.pi / 3]] * 6, atol=1e-12)
+    np.testing.assert_allclose(scenario.goals[6:, :3], toy.workpiece().path[5:])
+    job = load_config(write_job(tmp_path, left, RIGHT | {"task": [POINT, tilted | {"cone_deg": 50}]}, start_rad="auto"))
+    with pytest.raises(InputError, match=r"seam 'right': task.2 \(axis tcp.z\): point 1 of the path has no normal"):
+        build.resolved_scene(job)
+
+
 def test_a_wrong_number_of_joint_speeds_is_refused_in_one_line(tmp_path, capsys):
     file = write_job(tmp_path, LEFT, RIGHT, program={"velocity": [1.0] * 5})
     assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
