@@ -4,9 +4,14 @@
     python -m benchmarks order --tenfold 10       the same, and ten seeds with ten times the effort: takes an hour
     python -m benchmarks order --only points --groups 500 --effort 60
     python -m benchmarks order --job kingpin/job.yaml --tenfold 10
+    python -m benchmarks order --job coverage/job.yaml --plan out/coverage
 
-With --job, the seams of a job are planned once; then `htcp plan`'s own search, and a search for each seed with ten
-times the effort, find orders of these plans. A proven air move is used by all of them.
+With --plan, a job's plan is compared with a tour of nearest neighbours through the same configurations: joint length,
+turns and time of the air moves. The plan is read from the folder if it is there; otherwise the job is planned and saved
+there.
+
+With --job alone, the seams of a job are planned once; then `htcp plan`'s own search, and a search for each seed with
+ten times the effort, find orders of these plans. A proven air move is used by all of them.
 
 A job has seams in a box. A seam has nodes: branches of the arm, and both directions; a point has branches alone. A
 configuration is a smooth function of the position, moved by an offset for its branch, and a move takes as long as the
@@ -17,16 +22,19 @@ the processor time.
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks import hardware
 from htcp_jax import api, jobs, sequencing
+from htcp_jax.model.scenario import with_goals_of
 from htcp_jax.motion import Problem
 from htcp_jax.planning import methods
 from htcp_jax.sequencing import Order, shortest_order
+from htcp_jax.status import Kind
 
 SPEED_RAD_S = np.array([2.5, 2.0, 3.0, 5.0, 5.0, 7.0])
 FEED_M_S = 0.05
@@ -99,9 +107,44 @@ def travel(tour: list, home: np.ndarray | None, speed: np.ndarray) -> tuple[floa
         first, last = [*first, home], [home, *last]
     else:
         first, last = first[1:], last[:-1]
-    steps = np.abs(np.array(first) - np.array(last))
+    steps = np.abs(np.array(first) - np.array(last)).reshape(len(first), -1)
     length = np.linalg.norm(steps, axis=1).sum()
     return (steps / speed).max(axis=1).sum(), length, int((steps.max(axis=1) > TURN_RAD).sum())
+
+
+class Ends(NamedTuple):
+    """First and last configuration of a seam."""
+
+    start: np.ndarray
+    end: np.ndarray
+
+
+def compare_plan(file: str, folder: Path) -> Iterator[str]:
+    """Yield the air moves of a job's plan, and those of a tour of nearest neighbours, as text.
+
+    Args:
+        file: The job.
+        folder: Folder of the plan; without one, the job is planned and saved there.
+    """
+    if not (folder / "summary.json").exists():
+        api.plan(file).save(folder)
+    made = api.open_plan(folder)
+    if made.order is None:
+        raise SystemExit(f"{file} has one seam")
+    plans, speed = made.plans, api.joint_speeds(made.robot, made.job)
+    tour = [Ends(plans.x[0, visit.first], plans.x[0, visit.last]) for visit in made.order.visits]
+    home = None if plans.retract is None else plans.start[0]
+    moved = made.motion(retract=home is not None)
+    is_air = ~np.isin(moved.kind[1:], (Kind.PROCESS, Kind.DWELL))
+    steps = np.abs(np.diff(moved.x, axis=0))[is_air]
+    proven_s, length = (steps / speed).max(axis=1).sum(), np.linalg.norm(steps, axis=1).sum()
+    yield f"plan: {len(tour)} of {len(made.job.workpiece.seams)} seams, {made.order.facts()['order']}"
+    yield f"its air moves, proven: {proven_s:.3f} s, {length:.2f} rad"
+    own_s, own, turns = travel(tour, home, speed)
+    yield f"the same, if they were straight: {own_s:.3f} s, {own:.2f} rad, {turns} turns"
+    near_s, near, turns = travel(nearest_tour(np.arange(len(tour)), tour, home, speed), home, speed)
+    more = f"{100 * (near / own - 1):.1f} % longer" if own else "-"
+    yield f"nearest neighbours, straight, not proven: {near_s:.3f} s, {near:.2f} rad, {turns} turns; {more}"
 
 
 def solve_job(file: str, tenfold: int) -> None:
@@ -109,11 +152,17 @@ def solve_job(file: str, tenfold: int) -> None:
     chosen = jobs.load_config(file)
     chosen, robot = jobs.build.with_robot(chosen, file)
     found = jobs.seam_scenarios.seam_scenarios(chosen, robot)
-    obstacles, task = jobs.build.obstacles_of(chosen.cell, robot), jobs.build.task_of_job(chosen, robot)
-    problem = Problem.of(robot, found.workpiece, found.scenarios, chosen.settings, task, obstacles)
+    obstacles = jobs.build.obstacles_of(chosen.cell, robot)
+    problems = [
+        Problem.of(
+            robot, found.workpiece, with_goals_of(found.scenarios, task.numbers), chosen.settings, task, obstacles
+        )
+        for task in found.tasks
+    ]
+    problem = problems[0]
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     speed, used = api.joint_speeds(robot, chosen), time.process_time()
-    plans = sequencing.plan_seams(problem, found.variants, home, speed, methods.find(chosen.method)).found
+    plans = sequencing.plan_seams(problems, found.variants, home, speed, methods.find(chosen.method)).found
     seams = found.variants.seam[[plan.variant for plan in plans]]
     print(f"{len(plans)} plans of {len(np.unique(seams))} seams, {time.process_time() - used:.1f} s of processor time")
     moves, times = sequencing.moves_between(problem, plans, home, speed), list[float]()
@@ -146,8 +195,15 @@ def main() -> None:
     parser.add_argument("--effort", type=float, default=10.0)
     parser.add_argument("--tenfold", type=int, default=0, help="seeds with ten times the effort")
     parser.add_argument("--job", help="a job with several seams, instead of generated ones")
+    parser.add_argument("--plan", type=Path, help="folder of the job's plan, which is compared with nearest neighbours")
     options = parser.parse_args()
     print(hardware.line(), hardware.version("ortools"), sep=", ")
+    if options.plan is not None:
+        if options.job is None:
+            parser.error("--plan needs --job")
+        for line in compare_plan(options.job, options.plan):
+            print(line)
+        return
     if options.job is not None:
         solve_job(options.job, options.tenfold)
         return

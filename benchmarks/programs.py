@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
+from htcp_jax.jobs import tasks_of_targets
 from htcp_jax.jobs.build import scene
 from htcp_jax.runs import open_plans
 from htcp_jax.spec.feed import feed_of
@@ -85,8 +86,9 @@ def of_run(folder: str, feed_m_s: float, checked: int) -> Iterator[Found]:
     for count, scenario in enumerate(driven):
         made = program_of(opened, feed_m_s, scenario=scenario)
         left = motion_slack(plans, scenario, made.program.motion, made.job.settings.tube_m)
-        if made.job.task:
-            left = with_rows(left, made.job, made.robot, made.program.motion, scene(made.job)[2].goals)
+        if made.job.task_rows:
+            tasks = tasks_of_targets(made.job, made.robot, plans.seam_of_targets)
+            left = with_rows(left, tasks, made.robot, made.program.motion, scene(made.job)[2].goals)
         _, made_ms = timed(lambda made=made, left=left: time_motion(made.robot, *made_of(made, left)))
         configurations, written_ms = timed(lambda made=made: made.program.timed(STEP_S))
         refuted = check_timed(folder, configurations, made.method, scenario).refuted if count < checked else None

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import (
     Robot,
     Scenario,
+    Task,
     Workpiece,
     denser_spacing,
     interior_rule,
@@ -134,8 +136,9 @@ class Plan:
         See `motion.manipulability`.
         """
         with devices.on(devices.choose(self.device)[0]):
-            task, goals = jobs.build.task_of_job(self.job, self.robot), np.asarray(self.scenario.goals)
-            return manipulabilities.manipulability(self.robot, task, self.plans.x[0], goals)
+            goals = np.asarray(self.scenario.goals)
+            tasks = [(each.task, each.here) for each in self._tasks]
+            return manipulabilities.along(self.robot, tasks, self.plans.x[0], goals)
 
     def _singular(self) -> dict[str, str]:
         """Return a line with the smallest manipulability on the path, its target, and the median; {} if unknown."""
@@ -276,7 +279,7 @@ class Plan:
 
     @cached_property
     def tool_angles(self) -> Float[np.ndarray, "T 3"] | None:
-        """Work angle, travel angle and spin at each target [degrees]; None if the task has no row with tool angles."""
+        """Work angle, travel angle and spin at each target [degrees]; None if no task has a row with tool angles."""
         if not self.tool_axis_rows:
             return None
         found = np.full((self.plans.status.shape[1], 3), np.nan)
@@ -284,16 +287,16 @@ class Plan:
         with devices.on(devices.choose(self.device)[0]):
             rows = {row for _, row in self.tool_axis_rows}
             by_row = {row: tool_angles_at(self.scenario, row, *known) for row in rows}
-        for first, row in self.tool_axis_rows:
-            found[first:] = by_row[row][first:]
+        for here, row in self.tool_axis_rows:
+            found[here] = by_row[row][here]
         return found
 
     @property
-    def tool_axis_rows(self) -> list[tuple[int, ToolAxisRow]]:
-        """First target of each seam, and the row with the tool's angles; empty if the task has no such row."""
-        tasks = [seam.task or self.job.task for seam in self.job.workpiece.seams] or [self.job.task]
-        rows = zip((0, *self.plans.seam_begins), map(tool_axis_row, tasks), strict=True)
-        return [(first, row) for first, row in rows if row is not None]
+    def tool_axis_rows(self) -> list[tuple[slice, ToolAxisRow]]:
+        """Targets of each seam whose task has a row with the tool's angles, and this row."""
+        bounds = pairwise((0, *self.plans.seam_begins, self.plans.status.shape[1]))
+        rows = zip(bounds, map(tool_axis_row, self.job.tasks), strict=True)
+        return [(slice(*ends), row) for ends, row in rows if row is not None]
 
     def _required(self) -> str:
         """Return the required clearance as text; where seams have their own, the smallest and the largest one."""
@@ -317,9 +320,9 @@ class Plan:
         x_last, scenario = self.plans.before(0, failed), self.scenario
         if (lost := self._lost_place) is not None:
             x_last, scenario = lost.x_last, lost.scenario
-        known = self.robot, self.workpiece, scenario
         with devices.on(devices.choose(self.device)[0]):
-            task = jobs.build.task_of_job(self.job, self.robot)
+            own = self._task_at(failed)
+            task, known = own.task, (self.robot, self.workpiece, own.in_scenario(scenario))
             return obstructions.obstruction(*known, x_last, failed, self.job.settings, self.obstacles, task)
 
     @cached_property
@@ -332,10 +335,10 @@ class Plan:
 
     @cached_property
     def _problem(self) -> Problem:
-        """The job's scenario as a problem, to measure single configurations."""
-        task, execution = jobs.build.task_of_job(self.job, self.robot), Execution(self.device, threads=1)
-        one = scenarios.stack([self.scenario])
-        return Problem(self.robot, self.workpiece, one, self.job.settings, task, self.obstacles, execution)
+        """The job's scenario with the task of its first seam as a problem, to measure single configurations."""
+        own, execution = self._task_at(0), Execution(self.device, threads=1)
+        one = scenarios.stack([own.in_scenario(self.scenario)])
+        return Problem(self.robot, self.workpiece, one, self.job.settings, own.task, self.obstacles, execution)
 
     @cached_property
     def refused_segment(self) -> RefusedSegment | None:
@@ -363,10 +366,21 @@ class Plan:
     @cached_property
     def _lost_place(self) -> LostPlace | None:
         """The inserted goal between two targets at which the plan failed; None if it failed elsewhere."""
-        if (failed := self.outcome.failed) is None or self.outcome.status in NOT_TRIED:
+        failed = self.outcome.failed
+        if failed is None or self.outcome.status in NOT_TRIED or self.plans.begins_seam[failed]:
             return None
-        task = jobs.build.task_of_job(self.job, self.robot)
-        return lost_place(self.robot, task, self.scenario, self.job.settings, self.plans, failed)
+        own = self._task_at(failed)
+        scenario = own.in_scenario(self.scenario)
+        return lost_place(self.robot, own.task, scenario, self.job.settings, self.plans, failed)
+
+    @cached_property
+    def _tasks(self) -> list[jobs.TargetTask]:
+        """The tasks of the seams, with their targets."""
+        return jobs.tasks_of_targets(self.job, self.robot, self.plans.seam_of_targets)
+
+    def _task_at(self, target: int) -> jobs.TargetTask:
+        """Return the task at a target."""
+        return next(each for each in self._tasks if each.here[target])
 
     @property
     def dead_ends(self) -> dict[int, Tried]:
@@ -444,7 +458,7 @@ class Plan:
             title=f"{self.job.method}: {self.summary.tracked} of {self.summary.targets} targets",
             obstruction=self.obstruction or self._nearest_attempt,
             fixtures=jobs.build.drawn_of(self.job.cell, self.robot),
-            normals=glyphs(self.job.task, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
+            normals=glyphs(self.job.task_rows, self.workpiece, np.asarray(self.scenario.T_world_workpiece)),
             angles=None if self.tool_angles is None else (self.tool_axis_rows, self.tool_angles),
             seams=() if self.order is None else [seam.name for seam in self.job.workpiece.seams],
         )
@@ -642,13 +656,20 @@ def _plan_seams(
     sequencing.check_solver()
     found = jobs.seam_scenarios.seam_scenarios(job, robot)
     all_obstacles, names = jobs.build.obstacles_of(job.cell, robot), [seam.name for seam in job.workpiece.seams]
-    about = job.settings, jobs.build.task_of_job(job, robot), all_obstacles, Execution(device)
-    problem = Problem.of(robot, found.workpiece, found.scenarios, *about)
+
+    def problem_of(part: Workpiece, given: Scenario, task: Task) -> Problem:
+        return Problem.of(robot, part, given, job.settings, task, all_obstacles, Execution(device))
+
+    problems = [
+        problem_of(found.workpiece, scenarios.with_goals_of(found.scenarios, task.numbers), task)
+        for task in found.tasks
+    ]
+    problem = problems[0]
     _check_errors(problem, job)
     began = time.perf_counter()
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     speed = joint_speeds(robot, job)
-    plans = sequencing.plan_seams(problem, found.variants, home, speed, method, progress)
+    plans = sequencing.plan_seams(problems, found.variants, home, speed, method, progress)
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
     moves, seed = sequencing.moves_between(problem, plans.found, home, speed), job.settings.seed
     sequence = sequencing.find_sequence(seams, plans.found, found.before, moves, seed, progress)
@@ -656,7 +677,10 @@ def _plan_seams(
     missing = sorted(set(range(len(names))) - set(found.variants.seam[done].tolist()))
     lost = {s: plans.best.get(s) or sequencing.not_joined(problem, found.variants, s) for s in missing}
     job, workpiece, scenario = jobs.seam_scenarios.in_order(found, robot, done, missing)
-    whole = Problem.of(robot, workpiece, scenario, *about)
+    seam = jobs.seam_of_rows(workpiece)
+    seam = np.append(np.zeros(len(scenario.targets) - len(seam), int), seam)
+    tasks = jobs.tasks_of_targets(job, robot, seam)
+    whole = [(problem_of(workpiece, each.in_scenario(scenario), each.task), each.here) for each in tasks]
     made = sequencing.whole_plans(whole, sequence, list(lost.values()))
     made = made._replace(compile_s=plans.compile_s, run_s=time.perf_counter() - began - plans.compile_s)
     reasons = {names[s]: plan.outcome(0) for s, plan in lost.items()}
@@ -667,8 +691,7 @@ def _plan_seams(
 
 def joint_speeds(robot: Robot, job: PlanConfig) -> Float[np.ndarray, "N"]:
     """Return the full speeds of the joints [rad/s or m/s]; 1 where neither the job nor the model limits them."""
-    speed = np.array(job.program.velocity or trajectory.own_rates(robot)["velocity"], float)
-    speed = np.broadcast_to(speed, (len(robot.joint_names),))
+    speed = np.broadcast_to(trajectory.stated_limits(robot, job.program).velocity, (len(robot.joint_names),))
     return np.where(np.isfinite(speed), speed, 1.0)
 
 

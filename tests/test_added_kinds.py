@@ -16,7 +16,7 @@ from htcp_jax.clearance.obstacles.given_obstacle import GivenObstacle, given_obs
 from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.proof.row_proof import between, row_slacks
 from htcp_jax.device.executor import EXECUTABLES
-from htcp_jax.jobs import load_config
+from htcp_jax.jobs import load_config, tasks_of_targets
 from htcp_jax.jobs.build import scene, task_of_job
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.motion import Execution, Problem
@@ -212,7 +212,8 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
     with pytest.raises(htcp_jax.InputError, match="stays-above-sampled does not set `rate`"):
         motion = plan.motion()
         left = MotionSlack(*np.zeros((2, len(motion.x) - 1)))
-        with_rows(left, plan.job, plan.robot, motion, np.asarray(plan.scenario.goals))
+        tasks = tasks_of_targets(plan.job, plan.robot, plan.plans.seam_of_targets)
+        with_rows(left, tasks, plan.robot, motion, np.asarray(plan.scenario.goals))
 
 
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):

@@ -152,4 +152,4 @@ def test_a_command_refuses_a_run_with_a_number_that_is_not_finite_in_a_line(run,
 
 def test_a_deviation_that_is_no_number_violates_its_row():
     row = task_check.RowCheck(TCP_ON_PATH, np.array([np.nan, 0.0]), np.full(2, 1e-3))
-    assert "deviates by nan mm" in row.reason(1, 0) and row.reason(1, 1) is None and not row.unchecked
+    assert "deviates by nan mm" in row.reason(0) and row.reason(1) is None and not row.unchecked

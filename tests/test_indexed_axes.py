@@ -9,6 +9,7 @@ import pytest
 import toy
 import yaml
 from test_json_schemas import fits
+from test_moving_part import composed_in, job_in
 from test_seams import LEFT, RIGHT
 
 from htcp_jax.cli import main
@@ -17,6 +18,7 @@ from htcp_jax.motion import Problem
 from htcp_jax.status import Kind
 
 J3 = "j3_rad"
+SHORT = "beam_width", "min_beam_width", "self_motions", "self_motion_rounds", "samples", "sample_steps"
 
 
 def write_job(folder, *seams, indexed=("j3",), **changes):
@@ -112,6 +114,37 @@ def test_a_program_holds_the_axis_and_its_proof_says_so(planned, tmp_path, capsy
     capsys.readouterr()
     assert main(["prove", str(file), *job]) == 0
     assert "j3 stands still along the path" in capsys.readouterr().out
+
+
+RAIL = """<robot name="track"><link name="floor"/><link name="car"/>
+<joint name="rail" type="prismatic"><parent link="floor"/><child link="car"/><axis xyz="0 1 0"/>
+<limit lower="-0.2" upper="0.2" velocity="0.5" effort="100"/></joint></robot>"""
+
+
+def test_in_a_composed_cell_rail_and_positioner_stand_still_on_both_seams(tmp_path, capsys):
+    """Targets are inserted on these seams, so they have more rows than their path."""
+    job = composed_in(tmp_path, job_in(tmp_path))
+    (tmp_path / "rail.urdf").write_text(RAIL)
+    path = job["workpiece"].pop("path")
+    job |= {
+        "robot": {**job["robot"], "parent": "rail.car"},
+        "rail": {"model": str(tmp_path / "rail.urdf"), "indexed": True},
+        "positioner": {**job["positioner"], "indexed": True},
+        "program": {"velocity": [1.0] * 6},
+        "seams": [{"name": name, "path": path, "rows": [row, 3]} for name, row in (("first", 0), ("second", 4))],
+        "settings": {"q_weights": [1.0] * 6, **{name: getattr(toy.SETTINGS, name) for name in SHORT}},
+    }
+    (tmp_path / "job.yaml").write_text(json.dumps(job))
+    assert main(["plan", str(tmp_path / "job.yaml"), "--out", str(tmp_path / "out")]) == 0
+    rows = rows_of(tmp_path / "out/motion.csv")
+    for seam in ("first", "second"):
+        own = [row for row in rows if row["seam"] == seam and row["kind"] == Kind.PROCESS.name]
+        assert len(own) > 2 and len({(row["turn_rad"], row["rail_m"]) for row in own}) == 1
+    assert main(["validate", str(tmp_path / "out")]) == 0
+    given = str(tmp_path / "out/motion.csv"), "--job", str(tmp_path / "job.yaml")
+    assert main(["prove", *given, "--out", str(tmp_path / "proof")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "turn stands still along the path; rail stands still along the path" in printed
 
 
 @pytest.mark.parametrize(

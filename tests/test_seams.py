@@ -13,7 +13,8 @@ import toy
 import yaml
 from test_json_schemas import fits
 
-from htcp_jax import sequencing
+from benchmarks import order
+from htcp_jax import api, sequencing
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build, load_config, seam_scenarios
@@ -226,6 +227,39 @@ def test_a_proof_of_the_motion_has_the_clearance_that_the_plan_states_for_it_and
     assert json.loads((tmp_path / "proof" / "proof.json").read_text())["clearance_m"] == pytest.approx(least, rel=0.01)
 
 
+def proof_of(folder, out, *options) -> tuple[int, dict]:
+    """Exit code and record of the proof of a plan's motion in its job."""
+    motion, job = str(folder / "motion.csv"), str(folder.parent / "job.yaml")
+    code = main(["prove", motion, "--job", job, "--out", str(out), *options])
+    return code, json.loads((out / "proof.json").read_text())
+
+
+def test_a_proof_requires_on_each_seam_its_own_margin_and_states_its_clearance(with_own_keys, tmp_path, capsys):
+    code, record = proof_of(with_own_keys, tmp_path / "own")
+    assert code == 0 and record["margin_m"] == 0
+    fits("proof", record)
+    assert "clearance above 0 mm; on each seam its margin" in (text := " ".join(capsys.readouterr().out.split()))
+    known = {each["seam"]: each for each in record["seams"]}
+    assert {name: each["margin_m"] for name, each in known.items()} == {"left": 0.004, "right": 0.002}
+    for visit in summary(with_own_keys)["order"]["visits"]:
+        own = known[visit["name"]]
+        assert own["clearance_m"] >= own["margin_m"] and own["segments"] == 4 and own["verdict"] == "proven"
+        assert f"{visit['name']} at least {1e3 * own['clearance_m']:.3g} mm" in text
+    larger = f"{1e3 * known['left']['clearance_m'] + 1:g}mm"
+    code, record = proof_of(with_own_keys, tmp_path / "own", "--set", f"seams.1.margin_m={0.001 * float(larger[:-2])}")
+    assert code == 1 and {each["seam"]: each["verdict"] for each in record["seams"]} == {
+        "left": "refuted", "right": "proven"
+    }  # fmt: skip
+
+
+def test_a_margin_of_the_command_line_holds_for_all_seams_and_between_them(with_own_keys, tmp_path):
+    code, record = proof_of(with_own_keys, tmp_path / "none", "--margin", "0mm")
+    assert code == 0 and {each["margin_m"] for each in record["seams"]} == {0}
+    code, record = proof_of(with_own_keys, tmp_path / "large", "--margin", "20mm")
+    assert code == 1 and {each["margin_m"] for each in record["seams"]} == {0.02}
+    assert record["segments_by_verdict"]["below the margin"] > 0
+
+
 def test_a_proof_of_a_file_counts_the_points_that_it_visits(points, tmp_path, capsys):
     command = ["prove", str(points / "out" / "motion.csv"), "--out", str(tmp_path / "proof")]
     assert main([*command, "--job", str(points / "job.yaml")]) == 0
@@ -293,10 +327,10 @@ def plans_of(folder, *seams, **changes):
     """Return the variants and the proven motions of a job's seams, and the progress while they were planned."""
     job, robot = build.with_robot(load_config(write_job(folder, *seams, **changes)), "job")
     found, seen = seam_scenarios.seam_scenarios(job, robot), []
-    task, obstacles = build.task_of_job(job, robot), build.obstacles_of(job.cell, robot)
+    (task,), obstacles = found.tasks, build.obstacles_of(job.cell, robot)
     problem = Problem.of(robot, found.workpiece, found.scenarios, job.settings, task, obstacles)
     home, speed = np.asarray(problem.scenarios.x_home[0]), np.ones(len(robot.joint_names))
-    made = sequencing.plan_seams(problem, found.variants, home, speed, methods.find(job.method), seen.append)
+    made = sequencing.plan_seams([problem], found.variants, home, speed, methods.find(job.method), seen.append)
     moves = sequencing.moves_between(problem, made.found, home, speed)
     return found, made.found, moves, seen
 
@@ -338,6 +372,17 @@ def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves
     legs = [leg.time_s for leg in (*again.moves, again.retract)]
     steps = [np.abs(np.diff(motion.motions(plan.plans, 0).x, axis=0)).max(axis=1) for plan in again.visits]
     assert again.cost_s == pytest.approx(sum(legs) + sum(each.sum() for each in steps))
+
+
+def test_the_benchmark_compares_a_saved_plan_with_nearest_neighbours_and_plans_nothing(complete, monkeypatch):
+    monkeypatch.setattr(api, "plan", None)
+    lines = list(order.compare_plan(str(complete.parent / "job.yaml"), complete))
+    assert lines[0].startswith("plan: 2 of 2 seams") and "nearest neighbours" in lines[-1]
+    x = np.array([[float(row[f"j{k}_rad"]) for k in range(1, 5)] for row in rows_of(complete)])
+    kinds = [row["kind"] for row in rows_of(complete)]
+    steps = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    air = steps[[kind not in (Kind.PROCESS.name, Kind.DWELL.name) for kind in kinds[1:]]].sum()
+    assert f"{air:.2f} rad" in lines[1]
 
 
 def test_the_stated_gap_compares_an_order_with_its_lower_bound():
@@ -435,17 +480,86 @@ def test_the_own_keys_of_the_only_seam_are_those_of_the_job(tmp_path):
     assert job.workpiece.seams[0].task == () and job.workpiece.seams[0].margin_m is None
 
 
-@pytest.mark.parametrize("task, words", [
-    ([POINT], "its task has the rows point tcp; the job's: point tcp, axis tcp.z; a seam's task has the rows of"),
-    ([POINT | {"within_m": 1e-3}, AXIS], "task.1 (point tcp) has a tolerance, but the job's has none; a seam's"),
-    ([POINT, AXIS | {"axis": "tcp.x"}], "task.2 (axis tcp.x) is of another kind than the job's (axis tcp.z); a seam's"),
-    ([POINT, AXIS | {"towards": "path.normal", "axis": "top.z"}], "task.2: "),
-])  # fmt: skip
-def test_a_task_of_a_seam_with_other_kinds_of_rows_is_refused_in_one_line(tmp_path, capsys, task, words):
-    file = write_job(tmp_path, LEFT, RIGHT | {"task": task}, task=[POINT, AXIS])
+TORCH = {"tool_axis": "-tcp.z", "work_angle_deg": [-60, 60], "travel_angle_deg": [-80, 80]}
+TACKS = {"name": "tacks", "path": "path.csv", "rows": [6, 2], "points": True, "task": [POINT]}
+
+
+@pytest.fixture(scope="module")
+def with_other_rows(tmp_path_factory):
+    """Folder of a plan whose seams have a cone, angles of a torch, and points without an orientation."""
+    folder = tmp_path_factory.mktemp("rows")
+    seams = LEFT, RIGHT | {"task": [POINT, TORCH], "margin_m": 0.002}, TACKS
+    file = write_job(folder, *seams, task=[POINT, AXIS])
+    assert main(["plan", str(file), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def test_seams_with_other_kinds_of_rows_are_one_motion_that_the_validation_confirms(with_other_rows):
+    assert len(summary(with_other_rows)["order"]["visits"]) == 4
+    assert main(["validate", str(with_other_rows)]) == 0
+    rows = json.loads((with_other_rows / "validation.json").read_text())["methods"]["beam"]["rows"]
+    assert [row["row"] for row in rows] == ["task.1: point tcp", "task.2: axis tcp.z", "task.2: tool_axis -tcp.z"]
+    assert all(row["off"] <= row["most"] < 1e6 for row in rows)
+
+
+def test_only_a_seam_with_angles_of_a_torch_has_them_in_tables_and_pictures(with_other_rows):
+    rows = rows_of(with_other_rows, "trajectory.csv")
+    assert {row["seam"] for row in rows if row["work_angle_deg"]} == {"right"}
+    plan = api.open_plan(with_other_rows)
+    ((here, row),) = plan.tool_axis_rows
+    assert plan._seam_names[here] == ["right"] * 5 and row.work_angle_deg == (-60, 60)
+
+
+def test_a_row_that_only_one_seam_has_is_validated_on_this_seam_alone(with_other_rows, tmp_path):
+    shutil.copytree(with_other_rows, tmp_path / "near")
+    record = json.loads((tmp_path / "near" / "summary.json").read_text())
+    (right,) = [seam for seam in record["config"]["workpiece"]["seams"] if seam["name"] == "right"]
+    right["task"][1]["work_angle_deg"] = [50, 51]
+    (tmp_path / "near" / "summary.json").write_text(json.dumps(record))
+    assert main(["validate", str(tmp_path / "near")]) == 1
+    refuted = json.loads((tmp_path / "near" / "validation.json").read_text())["refuted"]
+    (own,) = [each for each in summary(with_other_rows)["order"]["visits"] if each["name"] == "right"]
+    assert {one["target"] for one in refuted} == set(range(own["first"], own["last"] + 1))
+
+
+def test_a_program_and_its_proof_use_each_seams_own_rows(with_other_rows, tmp_path, capsys):
+    program = str(tmp_path / "program.csv")
+    limits = ["--feed", "20mm/s", "--set", "program.velocity=[1, 1, 1, 1]"]
+    words = ["program", str(with_other_rows), "--format", "csv", "--check", "--out", program]
+    assert main([*words, *limits]) == 0
+    job = str(with_other_rows.parent / "job.yaml")
+    assert main(["prove", program, "--job", job, "--out", str(tmp_path / "out")]) == 0
+    rows = json.loads((tmp_path / "out" / "proof.json").read_text())["deviation"]["rows"]
+    assert [row["row"] for row in rows] == ["point tcp", "axis tcp.z", "tool_axis -tcp.z"]
+    assert all(row["error"] < 2e-3 for row in rows)
+
+
+def test_only_a_seam_whose_rows_use_normals_needs_them_in_its_file(tmp_path):
+    tilted = {"axis": "tcp.z", "towards": "path.normal", "cone_deg": 60}
+    left = LEFT | {"path": "normals.csv", "task": [POINT, tilted]}
+    rows = [",".join(map(str, [*point, 0, 0, -1])) for point in toy.workpiece().path]
+    job = load_config(write_job(tmp_path, left, RIGHT, start_rad="auto"))
+    (tmp_path / "normals.csv").write_text("\n".join(["x,y,z,nx,ny,nz", *rows, ""]))
+    *_, scenario = build.resolved_scene(job)
+    np.testing.assert_allclose(scenario.goals[:6, 3:], [[0, 0, -1, np.pi / 3]] * 6, atol=1e-12)
+    np.testing.assert_allclose(scenario.goals[6:, :3], toy.workpiece().path[5:])
+    job = load_config(write_job(tmp_path, left, RIGHT | {"task": [POINT, tilted | {"cone_deg": 50}]}, start_rad="auto"))
+    with pytest.raises(InputError, match=r"seam 'right': task.2 \(axis tcp.z\): point 1 of the path has no normal"):
+        build.resolved_scene(job)
+
+
+def test_a_wrong_number_of_joint_speeds_is_refused_in_one_line(tmp_path, capsys):
+    file = write_job(tmp_path, LEFT, RIGHT, program={"velocity": [1.0] * 5})
     assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"seam 'right': {words}" in line
+    assert "program.velocity has 5 values, but the robot toy has 4 joints" in line
+
+
+def test_an_error_in_a_seams_own_task_names_seam_and_row(tmp_path, capsys):
+    file = write_job(tmp_path, LEFT, RIGHT | {"task": [POINT, AXIS | {"axis": "top.z"}]}, task=[POINT, AXIS])
+    assert main(["plan", str(file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "seam 'right': task.2: " in line
 
 
 def test_a_path_and_seams_exclude_each_other_in_one_file_and_the_later_one_replaces_the_other(tmp_path):

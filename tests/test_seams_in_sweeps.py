@@ -79,6 +79,18 @@ def test_a_row_has_its_seams_own_task_margin_and_feed(tmp_path):
     assert (left.program.feed, len(left.task)) == ("7mm/s", 1) and back.margin_m != 0.003
 
 
+def test_seams_with_other_kinds_of_rows_are_planned_validated_and_tested_for_reach_in_one_sweep(tmp_path, capsys):
+    axis = {"axis": "tcp.z", "towards": [0, 0, 1], "cone_deg": 90}
+    point = {"point": "tcp", "on": "path"}
+    file = write_sweep(tmp_path, MARGINS, seams=(LEFT | {"task": [point, axis]}, BACK))
+    sweep(file, tmp_path / "run", 3)
+    assert open_run(tmp_path / "run").plans("beam").outcomes.can_be_driven.all()
+    assert main(["validate", str(tmp_path / "run")]) == 0
+    (method,) = json.loads((tmp_path / "run" / "validation.json").read_text())["methods"].values()
+    assert [row["row"] for row in method["rows"]] == ["task.1: point tcp", "task.2: axis tcp.z"]
+    assert main(["reachability", str(file), "--each", "--out", str(tmp_path / "reach")]) == 0
+
+
 def test_a_row_plans_its_seam_as_a_job_of_this_seam_alone_in_its_direction(swept):
     points = load_sweep(swept / "grid.yaml").points()
     (left,), (back,) = (point.config.workpiece.seams for point in points[:2])

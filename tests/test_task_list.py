@@ -111,10 +111,14 @@ def test_a_row_is_addressed_by_its_number_on_the_command_line():
     assert given["task"][1]["cone_deg"] == 60
     with pytest.raises(InputError, match=r"task.3.cone_deg: no row 3; the list has 2"):
         load_config(given, ["task.3.cone_deg=45"])
-    with pytest.raises(InputError, match="scenario 1: its task has other kinds of rows"):
-        load_sweep({"grid": [{"task.2.cone_deg": [5, 0]}]}, given).batch()
     with pytest.raises(InputError, match=r"task.3.cone_deg: the task has 2 rows"):
         load_sweep({"grid": [{"task.3.cone_deg": [5, 0]}]}, given).batch()
+
+
+def test_scenarios_whose_tasks_have_other_kinds_of_rows_have_their_own_inputs_and_goals():
+    """A row with cone_deg: 0 is no cone."""
+    batch = load_sweep({"grid": [{"task.2.cone_deg": [5, 0]}]}, {"task": [ON_PATH, CONE]}).batch()
+    assert [cell.task.rows for cell in batch.cells] == [3, 5] and batch.cell.tolist() == [0, 1]
 
 
 TILTED = {"orientation": [1, 1, 0, 0], "within_deg": 20}

@@ -288,7 +288,10 @@ def test_a_sweeps_table_has_the_angles_at_each_target_of_each_scenarios_own_path
 
 def test_a_picture_shows_limited_angles_with_their_ranges():
     axes = Figure().add_subplot()
-    rows = [(0, ToolAxisRow("tcp.z", (13.0, 17.0), 10.0)), (3, ToolAxisRow("tcp.z", (5.0, 6.0), 2.0))]
+    rows = [
+        (slice(0, 3), ToolAxisRow("tcp.z", (13.0, 17.0), 10.0)),
+        (slice(3, 5), ToolAxisRow("tcp.z", (5.0, 6.0), 2.0)),
+    ]
     draw_angles(axes, rows, np.full((5, 3), 14.0))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["work angle", "travel angle"]
     boxes = [band.get_datalim(axes.transData).extents.tolist() for band in axes.collections]

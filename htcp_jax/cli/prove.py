@@ -21,18 +21,24 @@ from htcp_jax.cli.output import (
     stdout,
 )
 from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity
-from htcp_jax.proving import FileProof, IndexedTravel, proof_record, prove_file
+from htcp_jax.proving import FileProof, IndexedTravel, proof_record, prove_file, seams_text
 from htcp_jax.report import Table, draw_proof
 from htcp_jax.system import output_files
 
 LISTED = 10  # maximum number of groups of segments on the terminal
+MOST_SEAMS = 8  # seams with their clearance, on the terminal
 MOST_MISSED = 5  # names of points that are not visited, on the terminal
 STYLES = {"proven": "bold green", "refuted": "bold red", "undecided": "bold yellow", "not proven": "bold yellow"}
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Trajectory or robot program.")]
 Job = Annotated[Path, typer.Option(metavar="JOB.yaml", help="Job file or example: the robot, its tool and the cell.")]
 Margin = Annotated[
-    str | None, typer.Option(metavar="LENGTH", help="Required clearance, such as 1mm; by default any above 0.")
+    str | None,
+    typer.Option(
+        metavar="LENGTH",
+        help="Required clearance on all of the motion, such as 1mm. By default any above 0; if a seam has a margin_m "
+        "of its own, each seam's margin along the seam.",
+    ),
 ]
 Tracking = Annotated[
     str | None,
@@ -74,7 +80,8 @@ def prove(
     URScript, Yaskawa pulses), and moves between their configurations as their controllers do. A proof holds for every
     point of the motion, not for samples. Writes proof.json, segments.parquet (one row per segment) and proof.png.
 
-    Also reported: joint limits, and where the job has a path, the distance of the TCP from it.
+    Also reported: joint limits, and where the job has a path, the distance of the TCP from it; for a job with several
+    seams, the guaranteed clearance on each.
 
     Exit codes: 0 if all segments are proven, 1 if one is refuted, a joint limit is violated or an indexed axis moves
     along the path, 4 if none is refuted but some are undecided or cannot be proven, or the motion is not proven for the
@@ -88,7 +95,7 @@ def prove(
       htcp prove trajectory.csv --job cell.yaml --errors errors.yaml
     """
     began = time.perf_counter()
-    margin_m = 0.0 if margin is None else quantity("--margin", margin, LENGTHS, "1mm")
+    margin_m = None if margin is None else quantity("--margin", margin, LENGTHS, "1mm")
     angle, length = _tracking(tracking)
     claim_device(device)
     with output_files.written_whole(out) as folder:
@@ -167,11 +174,13 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
     if notes:
         facts["notes"] = " ".join(notes)
     facts |= found.scene.checked
+    has_own = any(each.margin_m for each in found.seams) and not found.margin_m
     facts["required"] = (
-        f"clearance above {1e3 * found.margin_m:g} mm"
-        if found.margin_m == 0
-        else f"clearance of {1e3 * found.margin_m:g} mm"
+        f"clearance {'of' if found.margin_m else 'above'} {1e3 * found.margin_m:g} mm"
+        f"{'; on each seam its margin' if has_own else ''}"
     )
+    if found.seams:
+        facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():
         sizes = zip(tracking.tolist(), found.sliding, strict=True)
         texts = [f"{1e3 * off:.4g} mm" if slides else f"{math.degrees(off):.4g} deg" for off, slides in sizes]

@@ -217,7 +217,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         print_table(console, Table.of("sweep", keys, own).without_empty())
         console.print()
     print_timing(run, list(plans))
-    kind = "sampled" if any(row.sampled for row in run.config.task) else "proven"
+    kind = "sampled" if any(row.sampled for row in run.config.task_rows) else "proven"
     console.print(Text(f"Executable: tracked, and a {kind} motion leads there from the given start.", style="dim"))
     if plans:
         requested = _margin_text(running.margins_m(run, *plans))

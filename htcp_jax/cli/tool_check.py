@@ -11,6 +11,7 @@ from htcp_jax.cli.output import print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep_or_job
 from htcp_jax.model import denser_spacing, surface
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.reachability import ToolClearance, tool_clearances
 from htcp_jax.report import reach_study
 from htcp_jax.runs import failure_texts
@@ -44,6 +45,7 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
                 raise InputError(
                     f"{file}: workpiece.cloud is none; without a part there is nothing that the tool clears"
                 )
+            scenario = scenario_functions.with_goals_of(scenario, cell.task.numbers)
             own = cell.robot, cell.workpiece, scenario, cell.settings, cell.task
             found.append(tool_clearances(*own, longer_m))
             covers.append(cell.workpiece.covering_radius_m)

@@ -6,12 +6,13 @@ from .grid import Sweep, load_sweep, load_sweep_or_job
 from .grid_points import points_of
 from .load_config import load_config, seeded, source_of, with_kinds
 from .resolve import resolve, with_weights
-from .seam_keys import margin_of, seam_of_rows
+from .seam_keys import TargetTask, margin_of, seam_of_rows, tasks_of_targets
 
 __all__ = [
     "Batch",
     "PlannerInputs",
     "Sweep",
+    "TargetTask",
     "build",
     "chosen_numbers",
     "drawn_numbers",
@@ -27,6 +28,7 @@ __all__ = [
     "seeded",
     "shapes_in_world",
     "source_of",
+    "tasks_of_targets",
     "with_kinds",
     "with_weights",
 ]

@@ -24,12 +24,12 @@ from htcp_jax.jobs.build import (
     robot_of,
     task_of_job,
     walls_key,
-    with_goals_of_job,
     workpiece_key,
     workpiece_of,
 )
 from htcp_jax.jobs.grid_axes import ScenarioPoint
 from htcp_jax.jobs.resolve import check_start
+from htcp_jax.jobs.seam_keys import with_goals_of_seams
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, interior_plane_of, make_scenarios, start_and_home
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.settings import Settings
@@ -149,7 +149,7 @@ def _scenarios(
     for k, point in enumerate(points):
         with _naming(point):
             one = jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), scenarios)
-            rows.append(with_goals_of_job(one, point.config, first.inputs.task, *first.inputs[:2]))
+            rows.append(with_goals_of_seams(one, point.config, *first.inputs[:2], first.inputs.task))
         if rows[0].task_goals is None:  # the goals of all scenarios are their targets
             return scenarios
     return scenario_functions.stack(rows)
@@ -256,15 +256,10 @@ def _naming(point: ScenarioPoint) -> Iterator[None]:
 
 
 def _check_alike(own: _Shared, first: _Shared) -> None:
-    """Check that a task has as many equations as the first scenario's, and goals and obstacles as many numbers.
+    """Check that obstacles have as many numbers as the first scenario's.
 
     Raises:
         InputError: If they differ.
     """
-    if (own.inputs.task.numbers, own.inputs.task.rows) != (first.inputs.task.numbers, first.inputs.task.rows):
-        raise InputError(
-            "its task has other kinds of rows than the first scenario's; "
-            "for example, a row with cone_deg: 0 is not a cone, and a row with an offset from the TCP is not a TCP row"
-        )
     if np.shape(own.obstacle_numbers) != np.shape(first.obstacle_numbers):
         raise InputError("its cell.obstacles need as many numbers as the first scenario's")

@@ -84,7 +84,8 @@ def resolved_scene(job: PlanConfig, source: str = "the configuration") -> tuple[
     """
     job, robot = with_robot(job, source)
     workpiece = workpiece_of(job.workpiece, robot)
-    return job, robot, workpiece, scenario_of(job, robot, workpiece)
+    beyond_reach = "record" if len(job.workpiece.seams) > 1 else "raise"  # seams may be out of reach
+    return job, robot, workpiece, scenario_of(job, robot, workpiece, beyond_reach=beyond_reach)
 
 
 def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
@@ -102,9 +103,15 @@ def with_robot(job: PlanConfig, source: str) -> tuple[PlanConfig, Robot]:
 
 
 @_rows_by_key()
-def task_of_job(job: PlanConfig, robot: Robot) -> Task:
-    """Build the task of a job: the constraints on the tool at each point of the path."""
-    return task_of(job.task, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+def task_of_job(job: PlanConfig, robot: Robot, seam: int = 0) -> Task:
+    """Build the task of a job on one of its seams: the constraints on the tool at each point of the path.
+
+    Args:
+        job: The job.
+        robot: The robot.
+        seam: Number of the seam; 0 for a job without seams.
+    """
+    return task_of(job.tasks[seam], robot, job.settings.tolerance_m, job.settings.tolerance_rad)
 
 
 def robot_of(arm: RobotConfig, cell: CellConfig = NO_CELL, tree: model_source.ComposedModel | None = None) -> Robot:
@@ -270,7 +277,8 @@ def scenario_of(
         beyond_reach: "raise" raises an error if a target is beyond reach, or violates an angle that no joint changes;
             "record" does not, see `make_scenario`.
     """
-    part, task = job.workpiece, task_of_job(job, robot)
+    part = job.workpiece
+    task = None if len(part.seams) > 1 else task_of_job(job, robot)
     follows = follower_at(job, robot, np.array(job.start)) if job.task and job.start is not None else None
     scenario = make_scenario(
         robot,
@@ -292,16 +300,11 @@ def scenario_of(
     )
     if job.cell.obstacles:
         scenario = replace(scenario, obstacle_numbers=numbers_of(job.cell.obstacles))
-    scenario = with_margins_of_seams(with_goals_of_job(scenario, job, task, robot, workpiece), job, workpiece)
-    if beyond_reach == "raise":
+    with_goals = with_goals_of_seams(scenario, job, robot, workpiece, task)
+    scenario = with_margins_of_seams(with_goals, job, workpiece)
+    if beyond_reach == "raise" and task is not None:
         check_constant_angles(scenario, job.task, task, robot, workpiece)
     return scenario
-
-
-@_rows_by_key()
-def with_goals_of_job(scenario: Scenario, job: PlanConfig, task: Task, robot: Robot, workpiece: Workpiece) -> Scenario:
-    """Return the scenario with the goals of the job's task, or of its seams' tasks, see `model.with_goals`."""
-    return with_goals_of_seams(scenario, job, task, robot, workpiece)
 
 
 def follower_at(job: PlanConfig, robot: Robot, x: Float[np.ndarray, "N"]) -> Float[np.ndarray, "3"]:

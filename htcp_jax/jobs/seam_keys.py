@@ -1,17 +1,34 @@
 """Keys of a job that each of its seams may have, too: `task`, `margin_m` and `feed`. A seam's own come first."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import PathFrames, Robot, RowError, Scenario, Task, Workpiece, task_of, with_goals
+from htcp_jax.model import scenario as scenarios
 from htcp_jax.spec import PlanConfig, SeamConfig, TaskRowKind
 
-VALUES = "towards, looks_at_m, cone_deg, within_deg, on, through_m, normal, direction, orientation and within_m"
+
+class TargetTask(NamedTuple):
+    """A task, and the targets that it constrains."""
+
+    task: Task
+    rows: tuple[TaskRowKind, ...]  # the task as the job writes it; of seams with other values, that of the first one
+    here: Bool[np.ndarray, "T"]  # True for its targets
+
+    def in_scenario(self, scenario: Scenario) -> Scenario:
+        """Return a scenario with the goals of this task; other targets have the goal of its first one."""
+        found = scenarios.with_goals_of(scenario, self.task.numbers)
+        if self.here.all() or found.task_goals is None:
+            return found
+        first = found.task_goals[np.argmax(self.here)]
+        return replace(found, task_goals=np.where(self.here[:, None], found.task_goals, first))
 
 
 def with_keys_of_only_seam(job: PlanConfig) -> PlanConfig:
@@ -32,42 +49,56 @@ def margin_of(job: PlanConfig, seam: SeamConfig) -> float:
 
 
 def with_goals_of_seams(
-    scenario: Scenario, job: PlanConfig, task: Task, robot: Robot, workpiece: Workpiece
+    scenario: Scenario, job: PlanConfig, robot: Robot, workpiece: Workpiece, task: Task | None = None
 ) -> Scenario:
-    """Return the scenario with the goals of its task; on each seam, those of the seam's own task.
+    """Return the scenario with the goals of the job's task; on each seam, those of the seam's own task.
 
     Args:
         scenario: A scenario; its last targets are the points of the path.
         job: The job.
-        task: The job's task.
         robot: The robot without the scenario's tool extension.
         workpiece: The scenario's workpiece.
+        task: The task of the job's own rows, if it is known.
 
     Raises:
-        InputError: See `with_goals`; also if a seam's task has other kinds of rows than the job's.
+        InputError: See `task_of` and `with_goals`; for a seam's own task with the seam's name.
     """
-    seams = job.workpiece.seams
-    if not any(seam.task for seam in seams):
-        return with_goals(scenario, job.task, task, robot, workpiece)
-    kept, before = None, len(scenario.targets) - len(workpiece.path)
-    for rows, numbers in _by_task(job):
-        try:
-            if task_of(rows, robot, task.tolerance_m, task.tolerance_rad) != task:
-                raise InputError(_difference(rows, job, task, robot))
-            part, of_path = _some_seams(workpiece, numbers)
-            targets = np.concatenate([scenario.targets[:before], scenario.targets[before:][of_path]])
-            found = with_goals(replace(scenario, targets=targets), rows, task, robot, part).task_goals
-        except RowError as error:
-            raise InputError(f"seam {seams[numbers[0]].name!r}: {error.message('task.')}") from None
-        except InputError as error:
-            raise InputError(f"seam {seams[numbers[0]].name!r}: {error}") from None
-        if found is None:
-            return scenario
-        kept = np.zeros((len(scenario.targets), found.shape[1])) if kept is None else kept
-        kept[before + of_path] = found[before:]
-        if not numbers[0]:
-            kept[:before] = found[:before]
+    by_rows = _by_rows(job, robot, task)
+    if len(by_rows) == 1:
+        ((rows, task, numbers),) = by_rows
+        with _naming(job, numbers):
+            return with_goals(scenario, rows, task, robot, workpiece)
+    before, found = len(scenario.targets) - len(workpiece.path), list[tuple[np.ndarray, np.ndarray]]()
+    for rows, task, numbers in by_rows:
+        part, of_path = _some_seams(workpiece, numbers)
+        targets = np.concatenate([scenario.targets[:before], scenario.targets[before:][of_path]])
+        with _naming(job, numbers):
+            goals = with_goals(replace(scenario, targets=targets), rows, task, robot, part).goals
+        approach = np.arange(before if 0 in numbers else 0)
+        found.append((np.concatenate([approach, before + of_path]), goals[before - len(approach) :]))
+    kept = np.zeros((len(scenario.targets), max(task.numbers for _, task, _ in by_rows)))
+    for here, goals in found:
+        kept[here, : goals.shape[1]] = goals
     return replace(scenario, task_goals=kept)
+
+
+def tasks_of_targets(job: PlanConfig, robot: Robot, seam: Int[np.ndarray, "T"]) -> list[TargetTask]:
+    """Return the tasks of a path that differ in more than values: one, unless seams have rows of other kinds.
+
+    Args:
+        job: The job.
+        robot: The robot.
+        seam: Number of each target's seam.
+
+    Raises:
+        InputError: See `task_of`.
+    """
+    found = dict[Task, TargetTask]()
+    for rows, task, numbers in _by_rows(job, robot):
+        here = np.isin(seam, numbers)
+        known = found.setdefault(task, TargetTask(task, tuple(rows), here))
+        found[task] = known._replace(here=known.here | here)
+    return list(found.values())
 
 
 def with_margins_of_seams(scenario: Scenario, job: PlanConfig, workpiece: Workpiece) -> Scenario:
@@ -87,17 +118,37 @@ def seam_of_rows(workpiece: Workpiece) -> Int[np.ndarray, "T"]:
     return np.searchsorted(workpiece.seam_begins, np.arange(len(workpiece.path)), "right")
 
 
-def _by_task(job: PlanConfig) -> list[tuple[Sequence[TaskRowKind], list[int]]]:
-    """Return the different tasks, each with the numbers of its seams."""
-    found: list[tuple[Sequence[TaskRowKind], list[int]]] = []
-    for number, seam in enumerate(job.workpiece.seams):
-        rows = seam.task or job.task
-        known = next((numbers for other, numbers in found if other == rows), None)
+def _by_rows(
+    job: PlanConfig, robot: Robot, known_task: Task | None = None
+) -> list[tuple[Sequence[TaskRowKind], Task, list[int]]]:
+    """Return the different lists of rows, each with its task and the numbers of its seams; a path is seam 0."""
+    by_rows = list[tuple[Sequence[TaskRowKind], list[int]]]()
+    for number, rows in enumerate(job.tasks):
+        known = next((numbers for other, numbers in by_rows if other == rows), None)
         if known is None:
-            found.append((rows, [number]))
+            by_rows.append((rows, [number]))
         else:
             known.append(number)
+    found = []
+    for rows, numbers in by_rows:
+        with _naming(job, numbers):
+            task = known_task if rows == job.task else None
+            task = task or task_of(rows, robot, job.settings.tolerance_m, job.settings.tolerance_rad)
+        found.append((rows, task, numbers))
     return found
+
+
+@contextmanager
+def _naming(job: PlanConfig, numbers: Sequence[int]) -> Iterator[None]:
+    """Name a task's rows by their keys in the job, such as task.2, in errors, and the seam if the task is its own."""
+    seams = job.workpiece.seams
+    name = f"seam {seams[numbers[0]].name!r}: " if seams and seams[numbers[0]].task else ""
+    try:
+        yield
+    except RowError as error:
+        raise InputError(f"{name}{error.message('task.')}") from None
+    except InputError as error:
+        raise InputError(f"{name}{error}") from None
 
 
 def _some_seams(workpiece: Workpiece, numbers: Sequence[int]) -> tuple[Workpiece, Int[np.ndarray, "k"]]:
@@ -107,20 +158,3 @@ def _some_seams(workpiece: Workpiece, numbers: Sequence[int]) -> tuple[Workpiece
     which, begins = np.concatenate(rows), np.cumsum([len(own) for own in rows])[:-1]
     frames = PathFrames(*(None if given is None else given[which] for given in workpiece.frames))
     return workpiece.with_path(workpiece.name, workpiece.path[which], frames, tuple(begins.tolist())), which
-
-
-def _difference(rows: Sequence[TaskRowKind], job: PlanConfig, task: Task, robot: Robot) -> str:
-    """Return text on how a seam's rows differ from the job's in more than values."""
-    allowed = f"a seam's task has the rows of the job's task, with other values of {VALUES}"
-    if len(rows) != len(task.parts):
-        own, theirs = (", ".join(map(str, each)) or "none: the TCP is on the path" for each in (rows, job.task))
-        return f"its task has the rows {own}; the job's: {theirs}; {allowed}"
-    parts = task_of(rows, robot, task.tolerance_m, task.tolerance_rad).parts
-    k = next(k for k, (own, part) in enumerate(zip(parts, task.parts, strict=True)) if own != part)
-    row, other = rows[k], job.task[k] if job.task else None
-    what = f"task.{k + 1} ({row}) is of another kind than the job's" + ("" if other is None else f" ({other})")
-    limits = [getattr(each, "limit", None) is None for each in (row, other)]
-    if other is not None and str(row) == str(other) and limits[0] != limits[1]:
-        has = "no tolerance, but the job's has one", "a tolerance, but the job's has none"
-        what = f"task.{k + 1} ({row}) has {has[limits[1]]}"
-    return f"{what}; {allowed}, and a tolerance only where the job has one"

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts
-from htcp_jax.model import ONE_POINT_M, PathFrames
+from htcp_jax.model import ONE_POINT_M, PathFrames, tangents
 from htcp_jax.spec import SEAMS, SEVERAL, SeamConfig, WorkpieceConfig, check_seams
 
 
@@ -94,26 +95,38 @@ def feeds_of_files(part: WorkpieceConfig) -> list[str | None]:
 def points_of_seams(part: WorkpieceConfig) -> SeamPoints:
     """Return the points of all seams [m], each in its direction of travel, `backward` or else forward.
 
+    If only some seams have normals, orientations or plates, those of the others are NaN; missing tangents are computed.
+
     Args:
         part: The section `workpiece`, with seams, see `with_seams_of_files`.
 
     Raises:
-        InputError: If a file cannot be read; if only some seams have normals, tangents or orientations; if a closed
-            seam's last point is not its first one; and if `begins_at` is not one of its rows.
+        InputError: If a file cannot be read; if a closed seam's last point is not its first one; and if `begins_at` is
+            not one of its rows.
     """
     read = _reader(part)
     found = [_travelled(seam, _points_of(seam, read)) for seam in part.seams]
     joined = {}
     for name in PathFrames._fields:
         own = [getattr(each.frames, name) for each in found]
-        lacking = [seam.name for seam, given in zip(part.seams, own, strict=True) if given is None]
-        if lacking and len(lacking) < len(own):
-            raise InputError(f"seams: {', '.join(lacking)}: the path has no {name}, but those of other seams have some")
-        joined[name] = None if lacking else np.concatenate(own)
+        some = next((each for each in own if each is not None), None)
+        filled = [_missing(name, *pair, some) for pair in zip(found, own, strict=True)] if some is not None else []
+        joined[name] = np.concatenate(filled) if filled else None
     begins = np.cumsum([len(each.xyz) for each in found])[:-1].tolist()
     unit = next((each.unit for each in found if each.unit), None)
     points = parts.PathPoints(np.concatenate([each.xyz for each in found]), PathFrames(**joined), unit=unit)
     return SeamPoints(points, tuple(begins))
+
+
+def _missing(
+    name: str, points: parts.PathPoints, given: np.ndarray | None, other: np.ndarray
+) -> Float[np.ndarray, "T *d"]:
+    """Return the directions of a seam; where its file has none, tangents of its points, or else NaN."""
+    if given is not None:
+        return given
+    if name == "tangents" and len(points.xyz) > 1:
+        return tangents(points.xyz)
+    return np.full((len(points.xyz), *other.shape[1:]), np.nan)
 
 
 def _reader(part: WorkpieceConfig):

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from htcp_jax.jobs import build
+from htcp_jax.jobs.seam_keys import tasks_of_targets
 from htcp_jax.jobs.seam_paths import points_of_seams
-from htcp_jax.model import NOT_REFUSED, Robot, Scenario, Workpiece, beyond_reach, interior_rule
+from htcp_jax.model import NOT_REFUSED, Robot, Scenario, Task, Workpiece, beyond_reach, interior_rule
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.sequencing import Variants
 from htcp_jax.spec import AUTO, PlanConfig, SeamConfig
@@ -23,9 +24,10 @@ class SeamScenarios(NamedTuple):
     """All variants of a job's seams as scenarios, see `sequencing.Variants`."""
 
     job: PlanConfig  # the job whose seams are the variants
-    workpiece: Workpiece  # its path has the rows of all variants
+    workpiece: Workpiece  # its path has the rows of all variants, as one seam: each scenario is a seam by itself
     scenarios: Scenario  # one for each variant
     variants: Variants
+    tasks: list[Task]  # different tasks, by number in `Variants.task`
     before: list[tuple[int, int]]  # pairs of seams, the first of which must be done before the second
 
 
@@ -57,8 +59,11 @@ def seam_scenarios(job: PlanConfig, robot: Robot) -> SeamScenarios:
     parts = [_rows(whole, robot, a, b) for a, b in pairwise(bounds)]
     names = [each.name for each in seams]
     before = [(names.index(name), k) for k, each in enumerate(seams) for name in each.after]
-    variants = Variants(np.array(seam), np.array(reverse), np.array(is_allowed))
-    return SeamScenarios(job, workpiece, scenarios.stack(parts), variants, before)
+    workpiece = workpiece.with_path(workpiece.name, workpiece.path, workpiece.frames, ())
+    tasks = tasks_of_targets(job, robot, np.arange(len(own)))
+    number = np.argmax([each.here for each in tasks], axis=0)
+    variants = Variants(np.array(seam), np.array(reverse), np.array(is_allowed), number)
+    return SeamScenarios(job, workpiece, scenarios.stack(parts), variants, [each.task for each in tasks], before)
 
 
 def in_order(

@@ -6,7 +6,7 @@ from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, tool_angles_at, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
 from .mesh_points import NearbyBody, PointCover, cover_mesh, denser_spacing, thinnest_nearby
-from .path_frames import ONE_POINT_M, PathFrames
+from .path_frames import ONE_POINT_M, PathFrames, tangents
 from .robot import Robot
 from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
 from .row_bounds import FeatureMotion, Region, RowSlack
@@ -82,6 +82,7 @@ __all__ = [
     "stack_pieces",
     "start_and_home",
     "surface",
+    "tangents",
     "task_of",
     "tcp_at",
     "thinnest_nearby",

@@ -50,6 +50,8 @@ def with_plates(part: Workpiece, within_m: float, plate_1_faces: Float[np.ndarra
     if part.frames.plates is not None:
         raise InputError("workpiece.plates: the path's file has the plates' normals; omit the key or these columns")
     normals, tangents = part.frames.normals, part.tangents
+    if np.isnan(tangents).any():
+        raise InputError("workpiece.plates: a seam of one point has no tangent; its file must have the plates' normals")
     bounds = part.triangles.min(axis=1), part.triangles.max(axis=1)
     found = np.empty((len(part.path), 2, 3))
     for k, (point, along) in enumerate(zip(part.path, tangents, strict=True)):

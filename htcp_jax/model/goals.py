@@ -196,10 +196,10 @@ _JACOBIAN = jax.jit(lambda robot, x, goal, task: task.linear_at(robot, x, goal).
 
 def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
     for k, row in enumerate(rows, 1):
-        if "rotations" in row.uses and workpiece.frames.rotations is None:
+        if "rotations" in row.uses and _is_lacking(workpiece.frames.rotations):
             remedy = "add columns qw,qx,qy,qz to its file, or set workpiece.path_angles for columns of angles"
             raise RowError(f": the path has no orientations; {remedy}", f"{k} ({row})")
-        if "plates" in row.uses and workpiece.frames.plates is None:
+        if "plates" in row.uses and _is_lacking(workpiece.frames.plates):
             remedy = "add columns n1x ... n2z, the plates' normals, to its file, or set workpiece.plates for a mesh"
             raise RowError(f": the path has no plates; {remedy}", f"{k} ({row})")
         if "plates" in row.uses:
@@ -210,11 +210,19 @@ def _check_frames(rows: Sequence[TaskRowKind], workpiece: Workpiece) -> None:
                     f": the normal of plate {plate} is {np.rad2deg(np.arccos(along[*far[0]])):.3g} degrees from the "
                 )
                 raise RowError(f"{reason}seam at point {point}; it must be across the seam", f"{k} ({row})")
+        for name in sorted(row.uses & {"normals", "tangents"}):
+            if len(lacking := np.flatnonzero(np.isnan(getattr(workpiece, name)).any(axis=1))):
+                raise RowError(f": point {lacking[0] + 1} of the path has no {name[:-1]}", f"{k} ({row})")
         if row.uses >= {"normals", "tangents"}:
             square = np.linalg.norm(np.cross(workpiece.tangents, workpiece.normals), axis=1)
             if len(flat := np.flatnonzero(square < 1e-6)):
                 reason = f": tangent and normal are parallel at point {flat[0] + 1} of the path"
                 raise RowError(reason, f"{k} ({row})")
+
+
+def _is_lacking(directions: Float[np.ndarray, "T *d"] | None) -> bool:
+    """Return True for directions that the path's file lacks, or that of one of the seams."""
+    return directions is None or bool(np.isnan(directions).any())
 
 
 def _is_angle_to_world(row: TaskRowKind, robot: Robot) -> bool:

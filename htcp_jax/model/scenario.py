@@ -34,6 +34,7 @@ class Scenario:
     tool_extension_m: Float[Anywhere, "*S"]
     number: Int[Anywhere, "*S"]  # the scenario's number, from which the random keys are folded
     refused: Int[Anywhere, "*S"]  # NOT_REFUSED, or the Status of a scenario that is not planned
+    # with padding where the task of a seam has fewer numbers, see `with_goals_of`
     task_goals: Float[Anywhere, "*S T G"] | None = None  # goals of the task, see `task_rows` [m]; None: the targets
     obstacle_numbers: Float[Anywhere, "*S P"] | None = None  # numbers of obstacles of other packages [m]; None: none
     max_joint_step: Float[Anywhere, "*S T N"] | None = None  # maximum travel to a target [rad or m]; None: unlimited
@@ -102,8 +103,11 @@ def stack(scenarios: Sequence[Scenario]) -> Scenario:
 
 
 def concatenate(parts: Sequence[Scenario]) -> Scenario:
-    """Return the scenarios of several batches as one batch; shorter target lists are padded, see `stack`."""
-    longest = max(part.targets.shape[1] for part in parts)
+    """Return the scenarios of several batches as one batch; shorter target lists are padded, see `stack`.
+
+    Goals of tasks of fewer numbers are padded with 0, see `with_goals_of`.
+    """
+    longest, parts = max(part.targets.shape[1] for part in parts), _with_equal_goals(parts)
 
     def pad(rows):
         return None if rows is None else np.pad(rows, ((0, 0), (0, longest - rows.shape[1]), (0, 0)), mode="edge")
@@ -111,6 +115,26 @@ def concatenate(parts: Sequence[Scenario]) -> Scenario:
     names = "targets", "task_goals", "seam_margins_m"
     padded = [replace(part, **{name: pad(getattr(part, name)) for name in names}) for part in parts]
     return padded[0] if len(padded) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *padded)
+
+
+def _with_equal_goals(parts: Sequence[Scenario]) -> Sequence[Scenario]:
+    """Return batches with goals of equally many numbers; all without goals if no batch has some."""
+    sizes = {None if part.task_goals is None else part.task_goals.shape[-1] for part in parts}
+    if len(sizes) == 1:
+        return parts
+    most = max(part.goals.shape[-1] for part in parts)
+    goals = [np.pad(part.goals, ((0, 0), (0, 0), (0, most - part.goals.shape[-1]))) for part in parts]
+    return [replace(part, task_goals=own) for part, own in zip(parts, goals, strict=True)]
+
+
+def with_goals_of(scenarios: Scenario, numbers: int) -> Scenario:
+    """Return scenarios, stacked or single, with the goals of a task of `numbers` numbers, without padding.
+
+    The goals at targets of seams with another task are meaningless.
+    """
+    if scenarios.task_goals is None or scenarios.task_goals.shape[-1] == numbers:
+        return scenarios
+    return replace(scenarios, task_goals=scenarios.task_goals[..., :numbers])
 
 
 def with_free_approach(scenarios: Scenario, which: Bool[np.ndarray, "S T"]) -> Scenario:

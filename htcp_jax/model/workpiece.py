@@ -169,10 +169,18 @@ class Workpiece:
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
-        """The path's unit tangents: as given, else by central differences along each seam."""
+        """The path's unit tangents: as given, else by central differences along each seam; NaN at a seam of one point.
+
+        Raises:
+            InputError: If the path is one seam, of zero length.
+        """
         if self.frames.tangents is not None:
             return self.frames.tangents
-        return np.concatenate([tangents(seam) for seam in np.split(self.path, self.seam_begins)])
+        seams = np.split(self.path, self.seam_begins)
+        is_one = len(seams) == 1
+        return np.concatenate(
+            [tangents(seam) if is_one or len(seam) > 1 else np.full((1, 3), np.nan) for seam in seams]
+        )
 
     @property
     def shown(self) -> Float[np.ndarray, "P 3"]:

@@ -6,11 +6,12 @@ depend on the number of rows. Source: Klein and Blaho, Dexterity measures for th
 redundant manipulators, International Journal of Robotics Research 6(2), 1987, section 2.3.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from htcp_jax.clearance import Scene
 from htcp_jax.device import Executor, devices, lane_function
@@ -52,6 +53,26 @@ def manipulability(
         lanes = _AtTarget(goals[known], np.broadcast_to(np.asarray(tool_extension_m, float), len(x))[known])
         rows = Executor(Scene(robot, (), task), Settings(), threads=devices.cores())(JACOBIAN, lanes, x[known])
         found[known] = np.linalg.svd(task.own_rows(rows).jacobian, compute_uv=False)[:, -1]
+    return found
+
+
+def along(
+    robot: Robot,
+    tasks: Sequence[tuple[Task, Bool[np.ndarray, "T"]]],
+    x: Float[np.ndarray, "T N"],
+    goals: Float[np.ndarray, "T G"],
+) -> Float[np.ndarray, "T"]:
+    """Return `manipulability` at all targets of a plan, whose seams may have different tasks.
+
+    Args:
+        robot: The robot with its tool.
+        tasks: The tasks, each with True for its targets.
+        x: Configurations at the targets [rad or m]; NaN where there are none.
+        goals: Goals at the targets, see `Scenario.task_goals` [m].
+    """
+    found = np.full(len(x), np.nan)
+    for task, here in tasks:
+        found[here] = manipulability(robot, task, x[here], goals[here, : task.numbers])
     return found
 
 

@@ -200,14 +200,20 @@ def raised(
     return float(clearance.min())
 
 
-def tighten(problem: Problem, plans: Plans) -> Plans:
+def tighten(problem: Problem, plans: Plans, here: Bool[np.ndarray, "T"] | None = None) -> Plans:
     """Return the plans with tighter bounds on segments whose bound is below the minimum clearance at the targets.
 
     Only executable segments are considered: their minimum `segment_clearance` is reported as the scenario's guaranteed
     clearance.
+
+    Args:
+        problem: The problem.
+        plans: The plans.
+        here: True for targets that have the problem's task; None: all.
     """
     clear = np.where(plans.executable, plans.clearance, np.inf).min(axis=1)
     loose = plans.executable & (plans.segment_clearance < TIGHT * clear[:, None])
+    loose &= True if here is None else here
     if not loose.any():
         return plans
     segments = segments_of(plans, loose)

@@ -184,9 +184,20 @@ def inserted(task: Task, scenarios: Scenario, parts: PathParts) -> Scenario:
     goals[own] = task.interpolated(_ends(scenarios.goals, *ends), share, places if places.shape[2] == 3 else None)
     count = parts.row[s[:, 0], scenarios.count - 1] + 1
     task_goals = None if scenarios.task_goals is None else goals
-    most = None if scenarios.max_joint_step is None else scenarios.max_joint_step[s, parts.target]
+    most, margins = (
+        None if table is None else table[s, parts.target]
+        for table in (scenarios.max_joint_step, scenarios.seam_margins_m)
+    )
     place, count = parts.target - 1 + parts.end, count.astype(scenarios.count.dtype)
-    return replace(scenarios, targets=targets, task_goals=task_goals, count=count, max_joint_step=most, place=place)
+    return replace(
+        scenarios,
+        targets=targets,
+        task_goals=task_goals,
+        count=count,
+        max_joint_step=most,
+        place=place,
+        seam_margins_m=margins,
+    )
 
 
 def folded(plans: Plans, count: Int[np.ndarray, "S"], parts: PathParts) -> Plans:

@@ -6,6 +6,7 @@ from .program_proof import ProgramProof, prove_program, prove_with_exact_corners
 from .prove import MotionProof, prove, prove_curves
 from .scaled_errors import ErrorScale, error_scale
 from .scene import ProofScene, scene_of
+from .seam_proofs import seams_text
 from .stated_errors import error_set, errors_record, scale_text
 from .worst import Contact, deepest_contact, deepest_contacts
 
@@ -34,5 +35,6 @@ __all__ = [
     "prove_with_exact_corners",
     "scale_text",
     "scene_of",
+    "seams_text",
     "straight",
 ]

@@ -34,6 +34,7 @@ from htcp_jax.proving.path_deviation import (
 from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
 from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
 from htcp_jax.proving.scene import Cell, ProofScene, scene_of
+from htcp_jax.proving.seam_proofs import SeamProof, SeamSegments, seam_segments
 from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
 from htcp_jax.proving.worst import Contact, deepest_contacts
 from htcp_jax.spec import ErrorsConfig, ObstacleKind, TaskRowKind
@@ -54,7 +55,7 @@ class FileProof:
     robot: str  # its name
     joints: tuple[str, ...]  # names of its N coordinates
     sliding: tuple[bool, ...]  # True for sliding joints
-    margin_m: float  # required clearance
+    margin_m: float  # required clearance, except on seams with their own
     tracking: Float[np.ndarray, "N"]  # largest distance of each joint from the motion [rad or m]
     curves: JointCurves | None  # joint paths; None: the file has no joint values
     proof: MotionProof | None  # verdicts of the m segments; None: the file has no joint values
@@ -65,6 +66,18 @@ class FileProof:
     seconds: float  # time of reading, building the scene and proving [s]
     errors: ErrorsConfig | None = None  # errors of which the largest proven scale is stated; None: none
     error_scale: ErrorScale | None = None  # it; None: no errors, or the motion is not proven
+    seam_segments: SeamSegments | None = None  # seams of the segments; None: one seam, or no joint values
+
+    @property
+    def seams(self) -> tuple[SeamProof, ...]:
+        """Proof of each seam that the motion follows, of a job with several seams."""
+        known = self.seam_segments is not None and self.proof is not None
+        return self.seam_segments.proofs(self.proof) if known else ()
+
+    def required_m(self, segment: int) -> float:
+        """Return the required clearance on a segment [m]; 0: any above 0."""
+        own = 0.0 if self.seam_segments is None else float(self.seam_segments.required_m[segment])
+        return max(self.margin_m, own)
 
     @property
     def verdict(self) -> str:
@@ -111,7 +124,7 @@ def prove_file(
     obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
     task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
     overrides: Sequence[str] | Mapping[str, Any] = (),
-    margin_m: float = 0.0,
+    margin_m: float | None = None,
     tracking_rad: float | Sequence[float] = 0.0,
     tracking_m: float | None = None,
     errors: Errors | None = None,
@@ -130,7 +143,8 @@ def prove_file(
         obstacles: Obstacles in addition to the job's.
         task: Task rows that replace the job's.
         overrides: Changes to the job, see `htcp_jax.plan`.
-        margin_m: Required clearance [m].
+        margin_m: Required clearance, on all of the motion [m]. None: any above 0; if a seam of the job has a margin of
+            its own, each seam's own, or else the job's, along the seams.
         tracking_rad: Largest distance of each joint from the motion, as by a servo's lag [rad or m]; one value, or one
             per joint.
         tracking_m: The same for prismatic joints [m]; required if there are any and `tracking_rad` is one value.
@@ -147,7 +161,8 @@ def prove_file(
         InputError: If the file, the job or an argument is invalid.
     """
     began, file = time.perf_counter(), Path(file)
-    check_margin(margin_m)
+    least_m = 0.0 if margin_m is None else margin_m
+    check_margin(least_m)
     stated = None if errors is None else read_errors(errors)
     scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
     problem, job = scene.problem, scene.job
@@ -164,7 +179,7 @@ def prove_file(
         "joints": problem.robot.joint_names,
     }
     about["near_m"] = near_path_m(problem) if scene.has_part and has_path(problem) else None
-    about |= {"sliding": problem.robot.sliding, "margin_m": margin_m, "tracking": lag, "errors": stated}
+    about |= {"sliding": problem.robot.sliding, "margin_m": least_m, "tracking": lag, "errors": stated}
     with devices.on(problem.devices[0]):
         if found.poses is not None:
             deviation = pose_deviation(problem, found.poses[:, :3, 3]) if scene.has_part else None
@@ -175,23 +190,25 @@ def prove_file(
         if len(found.x) < 2:
             raise InputError(f"{file} has one configuration; a motion has two or more")
         curves = motion_curves(problem, found)
+        by_seam = seam_segments(scene, found, margin_m)
+        margins = least_m if by_seam is None else np.maximum(by_seam.required_m, least_m)
         progress("paths", 0, len(curves.segment))
         proof = prove_within(
             problem,
             curves,
             lag,
-            margin_m=margin_m,
+            margin_m=margins,
             kept=kept,
             progress=lambda done, count: progress("paths", done, count),
         )
-        proof = tighten(problem, curves.within(lag), proof, margin_m=margin_m, kept=kept)
+        proof = tighten(problem, curves.within(lag), proof, margin_m=margins, kept=kept)
         scale = None
         if numbers is not None and proof.proven:
             scale = error_scale(
                 problem,
                 curves.within(lag),
                 numbers,
-                margin_m=margin_m,
+                margin_m=least_m,
                 progress=lambda done, count: progress("intervals with errors", done, count),
             )
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
@@ -212,6 +229,7 @@ def prove_file(
         deviation=deviation,
         seconds=time.perf_counter() - began,
         error_scale=scale,
+        seam_segments=by_seam,
     )
 
 
@@ -247,5 +265,4 @@ def motion_curves(problem: Problem, motion: MotionFile) -> JointCurves:
 def _deviation(scene: ProofScene, curves: JointCurves, motion: MotionFile) -> PathDeviation | None:
     if not scene.has_part:
         return None
-    rows = () if scene.job is None else tuple(str(row) for row in scene.job.task)
-    return path_deviation(scene.problem, curves, motion.x, motion.kind, rows)
+    return path_deviation(scene.problem, curves, motion.x, motion.kind, scene.tasks)

@@ -3,6 +3,7 @@
 All figures are measured at sampled places of the segments: both ends, and BETWEEN places between them.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple, TypeGuard
 
@@ -48,6 +49,15 @@ class IndexedTravel(NamedTuple):
     segment: int | None  # segment with this travel; None: the axis stands still
 
 
+class PathTask(NamedTuple):
+    """A task along a path."""
+
+    task: Task
+    names: tuple[str, ...]  # its rows as text; empty: the TCP on the path
+    here: Bool[np.ndarray, "T"]  # True for the points of the path at which it applies
+    goals: Float[np.ndarray, "T G"]  # its goals there; meaningless at other points
+
+
 class PathDeviation(NamedTuple):
     """Deviation of a motion from the job's path, at sampled places; of poses, `segment` and others count poses."""
 
@@ -68,7 +78,6 @@ class _Path(NamedTuple):
     """Path of a job as a polyline for each seam."""
 
     points: Float[np.ndarray, "T 3"]  # world, or the part's frame if the part moves [m]
-    goals: Float[np.ndarray, "T G"]
     along: Float[np.ndarray, "T"]  # length from the first point, without the gaps between seams [m]
     begins: tuple[int, ...]  # first points of the second and of each later seam
 
@@ -121,7 +130,7 @@ def path_deviation(
     curves: JointCurves,
     x: Float[np.ndarray, "n N"],
     kind: tuple[str, ...] | None,
-    rows: tuple[str, ...],
+    tasks: Sequence[PathTask],
 ) -> PathDeviation | None:
     """Return the deviation of a motion from the path of the problem's first scenario.
 
@@ -130,7 +139,7 @@ def path_deviation(
         curves: The motion's joint paths.
         x: Its configurations [rad or m].
         kind: Kind of each configuration in the motion's file; None: unknown.
-        rows: The task's rows as text.
+        tasks: The tasks along the path.
 
     Returns:
         The deviation; None if the path has fewer than two points, or if no configuration is near it.
@@ -162,7 +171,7 @@ def path_deviation(
         float(problem.settings.tube_m),
         float(path.along[-1]),
         covered,
-        _row_deviations(problem, path, sampled, place, segment, rows),
+        _row_deviations(problem, path, sampled, place, segment, tasks),
         len(path.singles),
         visits.missed,
         _indexed_travel(problem, path, curves, x, on, _says_process(kind)) if problem.robot.indexed else (),
@@ -193,14 +202,7 @@ def _indexed_travel(
     """
     begins = on & ~np.append(False, on[:-1])
     if not is_known:
-        place = _nearest(path, tcp_positions(problem, x))[1]
-        along = np.flatnonzero(on & (np.abs(np.diff(place)) > PROGRESS))
-        seam = np.cumsum(begins)
-        first, last = (np.full(seam[-1] + 1, k) for k in (len(on), -1))
-        np.minimum.at(first, seam[along], along)
-        np.maximum.at(last, seam[along], along)
-        row = np.arange(len(on))
-        on = on & (row >= first[seam]) & (row <= last[seam])
+        on = _leading_along(on, _nearest(path, tcp_positions(problem, x))[1])
     here, found = np.flatnonzero(on[curves.segment]), []
     travel = np.abs(curves.coefficients[here, 1:]).sum(axis=1)
     travel[begins[curves.segment[here], None] & (travel <= ARRIVAL)] = 0.0
@@ -211,6 +213,41 @@ def _indexed_travel(
         segment = int(curves.segment[here[worst]]) if most > 0 else None
         found.append(IndexedTravel(problem.robot.joint_names[joint], slides, most, segment))
     return tuple(found)
+
+
+def _leading_along(on: Bool[np.ndarray, "m"], place: Float[np.ndarray, "m+1"]) -> Bool[np.ndarray, "m"]:
+    """Return those segments near the path that lead along it: without the ends of air moves.
+
+    Args:
+        on: True for segments near the path.
+        place: Places on the path nearest to the configurations, counted in targets.
+    """
+    along = np.flatnonzero(on & (np.abs(np.diff(place)) > PROGRESS))
+    seam = np.cumsum(on & ~np.append(False, on[:-1]))
+    first, last = (np.full(seam[-1] + 1, k) for k in (len(on), -1))
+    np.minimum.at(first, seam[along], along)
+    np.maximum.at(last, seam[along], along)
+    row = np.arange(len(on))
+    return on & (row >= first[seam]) & (row <= last[seam])
+
+
+def seams_of_segments(
+    problem: Problem, x: Float[np.ndarray, "n N"], kind: tuple[str, ...] | None
+) -> Int[np.ndarray, "n-1"]:
+    """Return the number of the seam that each segment of a motion leads along; -1 for other segments.
+
+    Args:
+        problem: The problem.
+        x: The motion's configurations [rad or m].
+        kind: Kind of each configuration in the motion's file; None: unknown.
+    """
+    path = _path(problem)
+    if path is None:
+        return np.full(len(x) - 1, -1)
+    on = _process(problem, path, x, kind, near_path_m(problem))
+    place = _nearest(path, tcp_positions(problem, x))[1]
+    on = on if _says_process(kind) else _leading_along(on, place)
+    return np.where(on, np.searchsorted(path.begins, place[1:], "right"), -1)
 
 
 def pose_deviation(problem: Problem, points: Float[np.ndarray, "n 3"]) -> PathDeviation | None:
@@ -262,13 +299,13 @@ def _with_tool(problem: Problem) -> Robot:
 def _path(problem: Problem) -> _Path | None:
     here = problem.scenarios
     rows = slice(int(here.on_path[0]), int(here.count[0]))
-    points, goals = np.asarray(here.targets[0][rows, :3], float), np.asarray(here.goals[0][rows], float)
+    points = np.asarray(here.targets[0][rows, :3], float)
     if len(points) < 2:
         return None
     begins = problem.workpiece.seam_begins
     pieces = np.linalg.norm(np.diff(points, axis=0), axis=1)
     pieces[np.array(begins, int) - 1] = 0.0
-    path = _Path(points, goals, np.append(0.0, np.cumsum(pieces)), begins)
+    path = _Path(points, np.append(0.0, np.cumsum(pieces)), begins)
     return path if path.along[-1] > 0 or len(path.singles) else None
 
 
@@ -333,20 +370,27 @@ def _row_deviations(
     x: Float[np.ndarray, "n N"],
     place: Float[np.ndarray, "n"],
     segment: Int[np.ndarray, "n"],
-    names: tuple[str, ...],
+    tasks: Sequence[PathTask],
 ) -> tuple[RowDeviation, ...]:
-    task = problem.task
-    before = np.clip(np.floor(place).astype(int), 0, len(path.points) - 2)
+    """Return the largest error of each row; that of a row which several tasks have is the largest of all."""
+    found = dict[tuple[str, int], RowDeviation]()
+    own_point = np.floor(place).astype(int)
+    before = np.clip(own_point, 0, len(path.points) - 2)
     both = np.stack([before, before + 1], axis=1)
-    goals = task.interpolated(path.goals[both], place - before, path.points[both])
-    (errors,) = in_padded_sizes(partial(_row_errors, task), _with_tool(problem), x, goals)
-    found = []
-    for k, part in enumerate(task.parts):
-        worst = int(errors[:, k].argmax())
-        error = float(errors[worst, k])
-        name = names[k] if k < len(names) else "TCP on path"
-        found.append(RowDeviation(name, error, bool(part.angular), int(segment[worst]) if error > 0 else None))
-    return tuple(found)
+    for task, names, here, goals in tasks:
+        own = np.flatnonzero(here[own_point])
+        if not len(own):
+            continue
+        ends = np.where(here[both[own]], both[own], own_point[own, None])
+        between = task.interpolated(goals[ends], place[own] - before[own], path.points[ends])
+        (errors,) = in_padded_sizes(partial(_row_errors, task), _with_tool(problem), x[own], between)
+        for k, part in enumerate(task.parts):
+            worst = int(errors[:, k].argmax())
+            error, name = float(errors[worst, k]), names[k] if k < len(names) else "TCP on path"
+            row = RowDeviation(name, error, bool(part.angular), int(segment[own[worst]]) if error > 0 else None)
+            key = name, names[:k].count(name)
+            found[key] = max(found.get(key, row), row, key=lambda each: each.error)
+    return tuple(found.values())
 
 
 @partial(jax.jit, static_argnums=0)

@@ -166,7 +166,7 @@ def _contact_text(found: FileProof, segment: int) -> str:
     if contact.clearance_m <= 0:
         return f"{contact.body} is {contact.depth} inside {contact.other}{cause}"
     is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN
-    less = f", less than the margin of {mm_text(found.margin_m)}" if is_near else ""
+    less = f", less than the margin of {mm_text(found.required_m(segment))}" if is_near else ""
     return f"{contact.body} is {mm_text(contact.clearance_m)} from {contact.other}{less}{cause}"
 
 
@@ -216,6 +216,7 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "limits": [use._asdict() for use in found.limits],
         "limits_violated": bool(found.violated),
         "deviation": _deviation_record(found),
+        **({"seams": [each._asdict() for each in found.seams]} if found.seams else {}),
         "errors": found.errors and errors_record(found.errors, found.error_scale),
         "queries": 0 if proof is None else int(proof.queries.sum()),
         "seconds": found.seconds,

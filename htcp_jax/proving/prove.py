@@ -29,6 +29,7 @@ from htcp_jax.spec import ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus, UndecidedCause
 
 KEPT = 0.5  # share of the clearance at an interval's middle that is proven on the interval
+Margins = float | Float[np.ndarray, "m"]  # required clearance: one, or one per segment [m]; 0: any above 0
 TIGHT = 0.99  # this share for the segments of files that decide the guaranteed clearance, see `tighten`
 
 
@@ -41,6 +42,11 @@ class MotionProof:
     place: Float[np.ndarray, "*M m"]  # share of the segment at which it is refuted or undecided [1]; NaN if proven
     queries: Int[np.ndarray, "*M m"]  # number of checked intervals, without those of paths that are not proven
     cause: Int[np.ndarray, "*M m"]  # `status.UndecidedCause` of undecided segments; NONE of others
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The fields, in their order."""
+        return tuple(getattr(self, field.name) for field in fields(self))
 
     @property
     def proven(self) -> Bool[np.ndarray, "*M"]:
@@ -104,7 +110,7 @@ def prove(
     lag = tracking_of(tracking_rad, joints)
     found = prove_within(problem, curves, lag, margin_m=margin_m, kept=kept)
     shape = (points - 1,) if x.ndim == 2 else (motions, points - 1)
-    return MotionProof(*(getattr(found, field.name).reshape(shape) for field in fields(found)))
+    return MotionProof(*(each.reshape(shape) for each in found.arrays))
 
 
 def check_margin(margin_m: float) -> None:
@@ -138,7 +144,7 @@ def prove_within(
     curves: JointCurves,
     lag: Float[np.ndarray, "N"],
     *,
-    margin_m: float = 0.0,
+    margin_m: Margins = 0.0,
     kept: float = KEPT,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> MotionProof:
@@ -150,7 +156,7 @@ def prove_within(
         problem: The problem, see `scene_of`.
         curves: The joint paths, without the lag.
         lag: Largest distance of each joint from the paths [rad or m].
-        margin_m: Required clearance [m].
+        margin_m: Required clearance, or that of each segment [m]; 0: any above 0.
         kept: See `prove`.
         progress: See `prove_curves`.
     """
@@ -158,7 +164,7 @@ def prove_within(
     undecided = np.flatnonzero(found.verdict == SegmentStatus.UNDECIDED)
     if not lag.any() or not len(undecided):
         return found
-    exact = prove_curves(problem, curves.of_segments(undecided), margin_m=margin_m, kept=kept)
+    exact = prove_curves(problem, curves.of_segments(undecided), margin_m=_margins_at(margin_m, undecided), kept=kept)
     refuted = ~np.isin(exact.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
     verdict, place, queries, cause = (each.copy() for each in (found.verdict, found.place, found.queries, found.cause))
     verdict[undecided[refuted]], place[undecided[refuted]] = exact.verdict[refuted], exact.place[refuted]
@@ -168,7 +174,7 @@ def prove_within(
 
 
 def tighten(
-    problem: Problem, curves: JointCurves, found: MotionProof, *, margin_m: float = 0.0, kept: float = KEPT
+    problem: Problem, curves: JointCurves, found: MotionProof, *, margin_m: Margins = 0.0, kept: float = KEPT
 ) -> MotionProof:
     """Return a motion's proof with tighter bounds on the segments that decide its guaranteed clearance.
 
@@ -178,13 +184,13 @@ def tighten(
         problem: The problem.
         curves: The joint paths, with the servo's lag.
         found: Their proof.
-        margin_m: Required clearance [m].
+        margin_m: Required clearance, or that of each segment [m].
         kept: Share of the clearance with which they were proven.
     """
     loose = np.flatnonzero(found.clearance_m < found.guaranteed_m / kept)
     if not found.proven or not len(loose):
         return found
-    again = prove_curves(problem, curves.of_segments(loose), margin_m=margin_m, kept=TIGHT)
+    again = prove_curves(problem, curves.of_segments(loose), margin_m=_margins_at(margin_m, loose), kept=TIGHT)
     clearance, queries = found.clearance_m.copy(), found.queries.copy()
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
@@ -218,7 +224,7 @@ def prove_curves(
     problem: Problem,
     curves: JointCurves,
     *,
-    margin_m: float = 0.0,
+    margin_m: Margins = 0.0,
     kept: float = KEPT,
     progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> MotionProof:
@@ -227,7 +233,7 @@ def prove_curves(
     Args:
         problem: The problem, see `scene_of`.
         curves: The joint paths.
-        margin_m: Required clearance [m].
+        margin_m: Required clearance, or that of each segment [m].
         kept: See `prove`.
         progress: Function that is called with the numbers of paths proven so far, and of all paths.
     """
@@ -251,15 +257,21 @@ def prove_curves(
 
 
 def _proofs(
-    problem: Problem, checker: CollisionChecker, curves: JointCurves, margin_m: float, kept: float
+    problem: Problem, checker: CollisionChecker, curves: JointCurves, margin_m: Margins, kept: float
 ) -> bisection.Proof:
     """Return one proof per joint path; straight ones are proven by the executable that plans use."""
-    count, required = len(curves.segment), margin_m if margin_m > 0 else -np.inf
-    inputs, margins = problem.inputs(np.zeros(count, int), 0), np.full(count, required)
+    count = len(curves.segment)
+    required = np.broadcast_to(_margins_at(margin_m, curves.segment), count)
+    inputs, margins = problem.inputs(np.zeros(count, int), 0), np.where(required > 0, required, -np.inf)
     if curves.is_straight:
         a = curves.coefficients[:, 0]
         return checker.clear_edges(inputs, a, a + curves.coefficients[:, 1], margins, kept=kept)
     return checker.polynomial_edges(inputs, curves.coefficients, curves.off, margins, kept=kept)
+
+
+def _margins_at(margin_m: Margins, segments: Int[np.ndarray, "k"]) -> Margins:
+    """Return the required clearance on some segments [m]."""
+    return margin_m[segments] if isinstance(margin_m, np.ndarray) else margin_m
 
 
 def _by_segment(curves: JointCurves, proofs: bisection.Proof) -> MotionProof:

@@ -17,7 +17,9 @@ from htcp_jax.io.parts import NoCloud, load_workpiece
 from htcp_jax.jobs import load_config, source_of, with_kinds
 from htcp_jax.model import Robot, kinematics, make_scenario
 from htcp_jax.model import robot as robots
+from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Problem
+from htcp_jax.proving.path_deviation import PathTask
 from htcp_jax.spec import ObstacleKind, PlanConfig, TaskRowKind, numbers_of
 
 Cell = Robot | PlanConfig | str | Path | Mapping[str, Any] | None
@@ -26,9 +28,10 @@ Cell = Robot | PlanConfig | str | Path | Mapping[str, Any] | None
 class ProofScene(NamedTuple):
     """Scene of proofs."""
 
-    problem: Problem  # one scenario
+    problem: Problem  # one scenario, with the task of the first seam
     job: PlanConfig | None  # the job, resolved; None: the scene was made from a robot
     has_part: bool  # False: no workpiece, and no path
+    tasks: tuple[PathTask, ...] = ()  # tasks along the path
 
     @property
     def checked(self) -> dict[str, str]:
@@ -99,8 +102,14 @@ def _scene(
         workpiece = jobs.build.workpiece_of(job.workpiece, robot)
         there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
         own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)
+        goals = np.asarray(there.goals)[int(there.on_path) :]
+        there = scenarios.with_goals_of(there, own_task.numbers)
         found = Problem.of(robot, workpiece, there, job.settings, own_task, others, execution, check_paths=False)
-        return ProofScene(found, job, True)
+        tasks = [
+            PathTask(each.task, tuple(map(str, each.rows)), each.here, goals[:, : each.task.numbers])
+            for each in jobs.tasks_of_targets(job, robot, jobs.seam_of_rows(workpiece))
+        ]
+        return ProofScene(found, job, True, tuple(tasks))
     longer = robots.lengthen_tool(robot, job.robot.tool_extension_m)
     return ProofScene(_without_part(longer, others, job, device), job, False)
 

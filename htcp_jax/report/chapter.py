@@ -235,7 +235,7 @@ def _motion_ends(table: Table) -> list[Block]:
 
 
 def _notes_on_results(part: Part) -> list[str]:
-    names = ", ".join(dict.fromkeys(row.name for row in part.run.config.task if row.sampled))
+    names = ", ".join(dict.fromkeys(row.name for row in part.run.config.task_rows if row.sampled))
     sampled = f"The task row {names} has no rate, so proven motions in this report are only sampled along the path."
     return [
         *([sampled] if names else []),

@@ -1,7 +1,7 @@
 """Assumptions of a plan, and facts that it does not check, for the report of one plan."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,8 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
         "margin before the path": f"{1e3 * job.transfer_margin_m:g} mm where possible",
         "tolerance": f"TCP {1e3 * settings.tolerance_m:g} mm at a target, {1e3 * settings.tube_m:g} mm between "
         f"targets; angles {np.degrees(settings.tolerance_rad):.3g} deg",
-        "task": "; ".join(map(_row, job.task)) or "the TCP follows the path",
+        "task": _task(job.task),
+        **{f"task on {each.name}": _task(each.task) for each in job.workpiece.seams if each.task},
         "arm": f"{robot.name}, from {arm}",
         "tool": tip,
         **{name: _angles(robot, x) for name, x in begin.items() if x},
@@ -117,6 +118,10 @@ def _own_pairs(robot: Robot, obstacles: Obstacles) -> str:
 def _pairs(robot: Robot, pairs: list[robots.Exclusion]) -> list[str]:
     names = [f"{robot.capsule_names[each.first]} and {robot.capsule_names[each.second]}" for each in pairs]
     return names if len(names) <= MOST_PAIRS else [*names[:MOST_PAIRS], f"{len(names) - MOST_PAIRS} more"]
+
+
+def _task(rows: Sequence[object]) -> str:
+    return "; ".join(map(_row, rows)) or "the TCP follows the path"
 
 
 def _row(row: object) -> str:

@@ -17,7 +17,7 @@ from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.plan_tables import fact_table
 from htcp_jax.report.report import Report
 from htcp_jax.runs import SeamOrder
-from htcp_jax.spec import ToolAxisRow
+from htcp_jax.spec import ToolAxisRow, tool_axis_row
 from htcp_jax.trajectory import PlanProgram, ProgramFigures, program_figures, program_of_plans, requested_feeds
 from htcp_jax.viewer import PlannedJob, Replay, Studio, replays_of
 
@@ -38,7 +38,7 @@ class ReportedPlan(PlannedJob, Protocol):
     workpiece_place: str
     manipulability: Float[np.ndarray, "T"]
     tool_angles: Float[np.ndarray, "T 3"] | None
-    tool_axis_rows: list[tuple[int, ToolAxisRow]]
+    tool_axis_rows: list[tuple[slice, ToolAxisRow]]
 
     def facts(self) -> dict[str, str]:
         """Return the results as text by label."""
@@ -133,7 +133,8 @@ def _along(plan: ReportedPlan, made: PlanProgram | None, names: list[str]) -> li
     shown = AlongPlan(plan.plans, plan.scenario, () if plan.order is None else names, angles, made)
     blocks: list[Block] = [Picture("along-path", along_plan(shown), "Clearance, angles and speed over the targets")]
     if angles is not None:
-        blocks.append(plan_tables.angle_table(*angles, names))
+        limited = [name for name, rows in zip(names, plan.job.tasks, strict=False) if tool_axis_row(rows) is not None]
+        blocks.append(plan_tables.angle_table(*angles, limited))
     return blocks if plan.order is None else [*blocks, plan_tables.seam_table(plan.order, made)]
 
 

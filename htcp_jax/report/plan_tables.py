@@ -56,19 +56,19 @@ def _phase(kind: Kind, target: int, seam: str) -> str:
 
 
 def angle_table(
-    rows: Sequence[tuple[int, ToolAxisRow]], angles: Float[np.ndarray, "T 3"], names: Sequence[str]
+    rows: Sequence[tuple[slice, ToolAxisRow]], angles: Float[np.ndarray, "T 3"], names: Sequence[str]
 ) -> Table:
     """Return the table of the tool's angles, with their ranges over each seam, and what the task allows.
 
     Args:
-        rows: First target of each seam, and the row with its allowed angles.
+        rows: Targets of each seam that limits the angles, and the row that limits them.
         angles: Work angle, travel angle and spin at each target [degrees]; NaN where unknown.
-        names: Names of the seams, in the order of work.
+        names: Names of these seams, in the order of work.
     """
-    ends, made = [*(first for first, _ in rows[1:]), len(angles)], []
-    for name, (first, row), end in zip(names, rows, ends, strict=False):
+    made = []
+    for name, (here, row) in zip(names, rows, strict=False):
         for k, key in enumerate(TOOL_ANGLES):
-            known = angles[first:end, k]
+            known = angles[here, k]
             least, most = (float(reduce(known)) for reduce in (np.fmin.reduce, np.fmax.reduce))
             allowed = "free" if getattr(row, key) == "free" else " to ".join(f"{v:g}" for v in row.bounds_deg(key))
             made.append((name, key.removesuffix("_deg").replace("_", " "), least, most, allowed))

@@ -19,6 +19,7 @@ from htcp_jax import viewer
 from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import tables as lanes
 from htcp_jax.jobs import Batch, grid_axes, load_sweep_or_job
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import lane_inputs
 from htcp_jax.notebook import html_facts
 from htcp_jax.reachability import (
@@ -76,7 +77,8 @@ class ReachStudy:
             open_ = np.argwhere((reach == Reach.UNDECIDED) & (self.batch.cell == number)[:, None])
             own, measured = open_[~np.isnan(self.each.x[tuple(open_.T)]).any(axis=1)], []
             if len(own):
-                inputs, x = lane_inputs.lane_inputs(self.batch.scenarios, *own.T), self.each.x[tuple(own.T)]
+                scenarios = scenario_functions.with_goals_of(self.batch.scenarios, cell.task.numbers)
+                inputs, x = lane_inputs.lane_inputs(scenarios, *own.T), self.each.x[tuple(own.T)]
                 walls = all_obstacles(cell.workpiece, cell.obstacles)
                 measured = obstruction.obstructions(
                     cell.robot, walls, inputs, x, inputs.target, cell.settings, cell.task
@@ -239,7 +241,7 @@ def search_batch(
         found = reachable_prefixes(
             cell.robot,
             cell.workpiece,
-            jax.tree.map(itemgetter(rows), batch.scenarios),
+            scenario_functions.with_goals_of(jax.tree.map(itemgetter(rows), batch.scenarios), cell.task.numbers),
             cell.settings,
             task=cell.task,
             obstacles=cell.obstacles,

@@ -11,6 +11,7 @@ from jaxtyping import Int
 from htcp_jax.device import tables
 from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import Execution, Plans, Problem
 from htcp_jax.planning import batch
 from htcp_jax.runs.provenance import planned_by
@@ -84,6 +85,7 @@ def plan_cells(
         whole = len(rows) == len(cell)
         robot, workpiece, *others = cells[number]
         own = scenarios if whole else tables.gather(scenarios, rows)
+        own = scenario_functions.with_goals_of(own, cells[number].task.numbers)
         problem = Problem.of(robot, workpiece, own, *others, execution)
         progress = report and partial(_add_up, report, method, [done for _, done in parts], *everything)
         plans = batch.plan(problem, method, progress)

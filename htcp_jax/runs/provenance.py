@@ -96,7 +96,7 @@ def code_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
 def code_of_kinds(config: PlanConfig) -> dict[str, str]:
     """Return `code_of` the obstacles and task rows in a configuration that other packages define."""
     obstacles = code_of(obstacle_kind.OBSTACLES, (kind.name for kind in config.cell.obstacles))
-    return obstacles | code_of(TASK_ROWS, (row.name for row in config.task))
+    return obstacles | code_of(TASK_ROWS, (row.name for row in config.task_rows))
 
 
 def plugins_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
@@ -113,7 +113,7 @@ def plugins_of(added: Registry, names: Iterable[str]) -> dict[str, str]:
 def plugins_of_kinds(config: PlanConfig) -> dict[str, str]:
     """Return `plugins_of` the obstacles and task rows in a configuration."""
     obstacles = plugins_of(obstacle_kind.OBSTACLES, (kind.name for kind in config.cell.obstacles))
-    return obstacles | plugins_of(TASK_ROWS, (row.name for row in config.task))
+    return obstacles | plugins_of(TASK_ROWS, (row.name for row in config.task_rows))
 
 
 def _source_files(value: Any) -> list[Path]:

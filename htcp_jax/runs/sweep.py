@@ -263,7 +263,7 @@ def _planner(
 
     registry.METHODS.refuse_own(methods)
     obstacle_kind.OBSTACLES.refuse_own(kind.name for kind in spec.config.cell.obstacles)
-    TASK_ROWS.refuse_own(row.name for row in spec.config.task)
+    TASK_ROWS.refuse_own(row.name for row in spec.config.task_rows)
     return on_ray(batch, spec.config, sizes, on.partition(":")[2])
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.jobs import Batch
+from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.model import tool_angles_at
 from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
 from htcp_jax.planning import Progress
@@ -139,7 +140,8 @@ def _manipulability(batch: Batch, rows: Sequence[int], plans: Plans) -> Float[np
     for number in np.unique(cell[s]).tolist():
         own, here = batch.cells[number], cell[s] == number
         where = s[here], t[here]
-        goals, longer = np.asarray(scenarios.goals)[where], np.asarray(scenarios.tool_extension_m)[where[0]]
+        goals = np.asarray(scenarios.goals)[where][:, : own.task.numbers]
+        longer = np.asarray(scenarios.tool_extension_m)[where[0]]
         found[where] = manipulability.manipulability(own.robot, own.task, plans.x[where], goals, longer)
     return found
 
@@ -175,6 +177,7 @@ def _causes(batch: Batch, rows: Sequence[int], plans: Plans) -> dict[int, start_
     for number in np.unique(cell[np.isin(status, start_cause.CAUSES)]).tolist():
         own, here = batch.cells[number], np.flatnonzero(cell == number)
         some, execution = device_tables.gather(scenarios, here), Execution(threads=1)
+        some = scenario_functions.with_goals_of(some, own.task.numbers)
         problem = Problem(own.robot, own.workpiece, some, own.settings, own.task, own.obstacles, execution)
         causes = start_cause.start_causes(problem, status[here], rounds=1)
         found |= {int(here[s]): cause for s, cause in causes.items()}

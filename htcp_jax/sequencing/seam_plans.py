@@ -11,6 +11,7 @@ and to the ends of the other seams' plans.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,6 @@ from htcp_jax.device import devices, tables
 from htcp_jax.model import Scenario
 from htcp_jax.motion import CollisionChecker, Plans, Problem, ViaPoints, configurations, transfers
 from htcp_jax.planning import Method, batch
-from htcp_jax.settings import Settings
 from htcp_jax.status import Status
 
 MOST_ENDS = 64  # ends of plans to which a configuration is compared
@@ -35,6 +35,7 @@ class Variants(NamedTuple):
     seam: Int[np.ndarray, "V"]  # the seam that each variant belongs to
     reverse: Int[np.ndarray, "V"]  # the variant with the same rows backwards
     is_allowed: Bool[np.ndarray, "V"]  # False for a direction that is planned only to be reversed
+    task: Int[np.ndarray, "V"]  # number of the task, and of its problem
 
 
 class SeamPlan(NamedTuple):
@@ -55,7 +56,7 @@ class SeamPlans(NamedTuple):
 
 
 def plan_seams(
-    problem: Problem,
+    problems: Sequence[Problem],
     variants: Variants,
     home: Float[np.ndarray, "N"] | None,
     speed: Float[np.ndarray, "N"],
@@ -65,50 +66,70 @@ def plan_seams(
     """Return the proven motions along all seams.
 
     Args:
-        problem: The problem; its scenarios are the variants.
-        variants: The seams and directions of the variants.
+        problems: One problem for each task, which differ in nothing else; the scenarios of each are all variants.
+        variants: The seams, directions and tasks of the variants.
         home: First and last configuration of the motion [rad or m]; None: it begins and ends at the seams.
         speed: Full speeds of the joints [rad/s or m/s].
         method: The planning method.
         progress: See `batch.plan`.
     """
+    problem = problems[0]
     scenarios, seam, every = problem.scenarios, variants.seam, np.arange(len(variants.seam))
-    reversible = np.array([_is_reversible(scenarios, v, int(r)) for v, r in enumerate(variants.reverse)], bool)
+    pairs = [(problems[task].scenarios, v, int(variants.reverse[v])) for v, task in enumerate(variants.task)]
+    reversible = np.array([_is_reversible(*pair) for pair in pairs], bool)
     is_second = reversible & (variants.reverse < every)  # planned from home only if its reverse does not serve it
     is_point = scenarios.count == scenarios.on_path + 1
     if is_point.all():  # only the configurations at the points are kept, no motion
-        problem = replace(problem, settings=replace(problem.settings, smooth=False))
+        problems = [replace(each, settings=replace(each.settings, smooth=False)) for each in problems]
     usable = np.isin(every, problem.to_plan) & (reversible | variants.is_allowed) & ~(is_point & is_second)
     nothing = problem.empty_plans()
     best = {int(s): _on_path(nothing.rows([v]), scenarios.on_path[v]) for v, s in enumerate(seam)}
     found, done, compile_s, number = list[SeamPlan](), np.zeros(len(seam), bool), 0.0, 0
 
-    def add(rows: np.ndarray, begun: Scenario, settings: Settings, phase: str) -> list[SeamPlan]:
+    def add(rows: np.ndarray, x: np.ndarray | None, phase: str) -> list[SeamPlan]:
         nonlocal compile_s, number, done
-        numbered = replace(begun, number=number + np.arange(len(rows), dtype=begun.number.dtype))
-        made = _plans(replace(problem, scenarios=numbered, settings=settings), rows, method, progress, phase)
-        compile_s, number = compile_s + made[0].plans.compile_s, number + len(rows)
-        driven = [plan for plan in made if plan.plans.outcome(0).can_be_driven]
+        made = dict[int, SeamPlan]()
+        for own_problem, own in _by_problem(problems, variants, rows):
+            begun = tables.gather(own_problem.scenarios, rows[own])
+            begun = replace(begun, number=(number + own).astype(begun.number.dtype))
+            settings = own_problem.settings
+            if x is not None:
+                begun = replace(begun, x_start=x[own], x_home=x[own].copy(), auto_start=np.zeros(len(own), bool))
+                settings = replace(settings, transfers=False, effort=0.0)
+            own_problem = replace(own_problem, scenarios=begun, settings=settings)
+            plans = _plans(own_problem, rows[own], method, progress, phase)
+            compile_s += plans[0].plans.compile_s
+            made |= zip(own.tolist(), plans, strict=True)
+        number += len(rows)
+        every_plan = [made[k] for k in range(len(rows))]
+        driven = [plan for plan in every_plan if plan.plans.outcome(0).can_be_driven]
         found.extend(plan for plan in driven if variants.is_allowed[plan.variant] or _can_be_reversed(plan))
         done = np.isin(seam, seam[[plan.variant for plan in found]])
-        return made
+        return every_plan
 
     for chosen in (usable & ~is_second, usable & is_second):
         turned = [int(variants.reverse[plan.variant]) for plan in found if _can_be_reversed(plan)]
         rows = np.flatnonzero(chosen & ~np.isin(every, turned) & (variants.is_allowed | ~done))
-        for plan in add(rows, tables.gather(scenarios, rows), problem.settings, "") if len(rows) else []:
+        for plan in add(rows, None, "") if len(rows) else []:
             own = int(seam[plan.variant])
             if plan.plans.executable.sum() >= best[own].executable.sum():
                 best[own] = plan.plans
     lost = {s: plan for s, plan in best.items() if s not in seam[done]}
     if not len(rows := np.flatnonzero(usable & done)):
         return SeamPlans([], lost, compile_s)
-    samples, settings = _Configurations.sampled(problem, rows), replace(problem.settings, transfers=False, effort=0.0)
-    rows, x = _starts(problem, samples, seam, found, home, speed)
-    begun = replace(tables.gather(scenarios, rows), x_start=x, x_home=x.copy(), auto_start=np.zeros(len(x), bool))
+    samples = _Configurations.sampled(problems, variants, rows)
+    rows, x = _starts(problems, variants, samples, found, home, speed)
     if len(x):
-        add(rows, begun, settings, "; from other configurations")
+        add(rows, x, "; from other configurations")
     return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
+
+
+def _by_problem(
+    problems: Sequence[Problem], variants: Variants, rows: Int[np.ndarray, "n"]
+) -> list[tuple[Problem, Int[np.ndarray, "k"]]]:
+    """Return each problem with the positions of its variants in `rows`, without problems that have none."""
+    parts = [(problem, np.flatnonzero(variants.task[rows] == task)) for task, problem in enumerate(problems)]
+    return [part for part in parts if len(part[1])]
 
 
 def _plans(
@@ -153,34 +174,49 @@ class _Configurations(NamedTuple):
     x: Float[np.ndarray, "n N"]  # [rad or m]
 
     @classmethod
-    def sampled(cls, problem: Problem, variant: Int[np.ndarray, "_"]) -> "_Configurations":
+    def sampled(
+        cls, problems: Sequence[Problem], variants: Variants, variant: Int[np.ndarray, "_"]
+    ) -> "_Configurations":
         """Return random configurations of some variants."""
 
-        def sample(checker: CollisionChecker, share: slice) -> "_Configurations":
-            at, lane = transfers.other_configurations(problem, checker, variant[share], SAMPLES_ROUND)
-            return cls(variant[share][lane], at.x)
+        def sample(problem: Problem, own: Int[np.ndarray, "_"], checker: CollisionChecker, share: slice):
+            at, lane = transfers.other_configurations(problem, checker, own[share], SAMPLES_ROUND)
+            return cls(own[share][lane], at.x)
 
-        parts = problem.in_threads(sample, min(problem.threads, len(variant)))
+        parts = list[_Configurations]()
+        for problem, rows in _by_problem(problems, variants, variant):
+            work = partial(sample, problem, variant[rows])
+            parts += problem.in_threads(work, min(problem.threads, len(rows)))
         found = cls(*(np.concatenate(both) for both in zip(*parts, strict=True)))
         return cls(*(values[np.argsort(found.variant, kind="stable")] for values in found))
 
     @classmethod
-    def near(cls, problem: Problem, variant: Int[np.ndarray, "_"], x: Float[np.ndarray, "m N"]) -> "_Configurations":
+    def near(
+        cls,
+        problems: Sequence[Problem],
+        variants: Variants,
+        variant: Int[np.ndarray, "_"],
+        x: Float[np.ndarray, "m N"],
+    ) -> "_Configurations":
         """Return those configurations of some variants that are near some other configurations [rad or m].
 
         Indexed axes are where they are in the other configurations, so that they need not move between the seams.
         """
-        checker, lane, x = problem.checkers[0], np.repeat(variant, len(x)), np.tile(x, (len(variant), 1))
-        with devices.on(checker.executor.device):
-            at = transfers.projected(problem, checker, lane, 0, x, still=True)
-            valid = checker.valid(problem.inputs(lane, 0), at)
-        return cls(lane[valid], at.x[valid])
+        parts = list[_Configurations]()
+        for problem, rows in _by_problem(problems, variants, variant):
+            checker, lane = problem.checkers[0], np.repeat(variant[rows], len(x))
+            with devices.on(checker.executor.device):
+                others = np.tile(x, (len(rows), 1))
+                at = transfers.projected(problem, checker, lane, 0, others, still=True)
+                valid = checker.valid(problem.inputs(lane, 0), at)
+            parts.append(cls(lane[valid], at.x[valid]))
+        return cls(*(np.concatenate(both) for both in zip(*parts, strict=True)))
 
 
 def _starts(
-    problem: Problem,
+    problems: Sequence[Problem],
+    variants: Variants,
     samples: _Configurations,
-    seam: Int[np.ndarray, "V"],
     found: Sequence[SeamPlan],
     home: Float[np.ndarray, "N"] | None,
     speed: Float[np.ndarray, "N"],
@@ -190,15 +226,16 @@ def _starts(
     What counts is the mean time to the nearest end of each other seam's plans. Configurations at which plans begin
     already are excluded. Of very many ends, some that are chosen at random are considered.
     """
+    seam, settings = variants.seam, problems[0].settings
     ends, of = (
         np.array([x for plan in found for x in (plan.start, plan.end)]),
         seam[[p.variant for p in found]].repeat(2),
     )
-    some = np.random.default_rng(problem.settings.seed).permutation(len(ends))[:MOST_ENDS]
+    some = np.random.default_rng(settings.seed).permutation(len(ends))[:MOST_ENDS]
     ends, of = ends[some], of[some]
     if home is not None:
         ends, of = np.concatenate([ends, home[None]]), np.append(of, NO_SEAM)
-    near = _Configurations.near(problem, np.unique(samples.variant), ends)
+    near = _Configurations.near(problems, variants, np.unique(samples.variant), ends)
     variant, x = (np.concatenate(both) for both in zip(samples, near, strict=True))
     times = np.stack([(np.abs(x - end) / speed).max(axis=1) for end in ends], axis=1)
     seams = np.unique(of)
@@ -206,7 +243,7 @@ def _starts(
     order = np.lexsort((np.where(seam[variant][:, None] == seams, 0.0, nearest).sum(axis=1), variant))
     variant, x = variant[order], x[order]
     known = np.array([plan.start for plan in found]), np.array([plan.variant for plan in found])
-    kept = configurations.dispersed(x, variant, len(x), problem.settings.beam_separation_rad, known)
+    kept = configurations.dispersed(x, variant, len(x), settings.beam_separation_rad, known)
     kept = kept[np.diff(variant[kept], prepend=-1) > 0]
     return variant[kept], x[kept]
 

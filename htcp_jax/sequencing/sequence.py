@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from htcp_jax.motion import Plans, Problem, Retract, ViaPoints, motion, motion_check
 from htcp_jax.planning import Progress
@@ -96,15 +96,18 @@ def find_sequence(
     return SeamSequence([plans[k] for k in chosen], legs, retract, time_s, min(bound_s, time_s))
 
 
-def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plans]) -> Plans:
+def whole_plans(
+    problems: Sequence[tuple[Problem, Bool[np.ndarray, "T"]]], sequence: SeamSequence, missing: Sequence[Plans]
+) -> Plans:
     """Return the plan of all seams: one motion from home through the seams, and back home in `Plans.retract`.
 
     Args:
-        problem: The problem whose only scenario has the targets of all seams: in the order of work, then the missing.
+        problems: One problem for each task, with the targets that have it. The only scenario of each has the targets
+            of all seams: in the order of work, then the missing.
         sequence: The seams that are done, with their air moves.
         missing: Plans of the seams that are not done.
     """
-    visits, has_home = sequence.visits, sequence.retract is not None
+    problem, visits, has_home = problems[0][0], sequence.visits, sequence.retract is not None
     plans = in_order([visit.plans for visit in visits], missing)
     first = np.array([0, *plans.seam_begins][: len(visits)], int)  # target 0 is the first seam's first point, repeated
     start = problem.scenarios.x_home if has_home else plans.start
@@ -114,7 +117,9 @@ def whole_plans(problem: Problem, sequence: SeamSequence, missing: Sequence[Plan
     added += [(0, int(t), known.x[k][None], known.share[k][None]) for k, t in enumerate(known.target)]
     plans = plans.with_own("joint_step")._replace(start=start, via_points=ViaPoints.of(added, plans.x.shape[2]))
     plans.joint_step[0, first] = np.linalg.norm(plans.x[0, first] - plans.before(np.zeros_like(first), first), axis=1)
-    plans = motion_check.tighten(problem, motion_check.verify_transfers(problem, plans))
+    plans = motion_check.verify_transfers(problem, plans)
+    for own_problem, here in problems:
+        plans = motion_check.tighten(own_problem, plans, here)
     if not has_home or not visits:
         return plans
     back = np.concatenate([sequence.retract.via_points, problem.scenarios.x_home])

@@ -458,6 +458,16 @@ class PlanConfig(strict_model.FileSection):
         return merged((own_defaults(raw), raw)) if isinstance(raw, dict) else raw
 
     @property
+    def tasks(self) -> tuple[tuple[Row, ...], ...]:
+        """Rows of the task on each seam; for a job without seams, the job's rows."""
+        return tuple(seam.task or self.task for seam in self.workpiece.seams) or (self.task,)
+
+    @property
+    def task_rows(self) -> tuple[Row, ...]:
+        """Rows of the job's task and of its seams' own tasks."""
+        return (*self.task, *(row for seam in self.workpiece.seams for row in seam.task))
+
+    @property
     def segment_margin_m(self) -> float:
         """Required clearance on the segments of the path [m]; 0: only D > 0."""
         return self.margin_m if self.margin_on == "segments" else 0.0

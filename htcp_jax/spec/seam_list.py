@@ -35,7 +35,7 @@ class SeamConfig(strict_model.FileSection):
     begins_at: Row | None = None  # row of a closed seam, counted from 0, at which it begins and ends; None: any
     points: bool = False  # True: each row is a seam of one target, such as a hole or a spot
     after: tuple[SeamName, ...] = ()  # seams that must be done before this one
-    task: tuple[TaskRow, ...] = ()  # rows of the task on this seam, of the kinds of the job's rows; empty: the job's
+    task: tuple[TaskRow, ...] = ()  # rows of the task on this seam; empty: the job's
     margin_m: float | None = Field(None, ge=0, le=1)  # required clearance on this seam; None: the job's
     feed: Feed | None = None  # feed rate of the TCP on this seam, with its unit; None: the job's
 

@@ -35,7 +35,8 @@ def near_part_speeds(job: PlanConfig) -> ShareOfSpeed | None:
     if not len(workpiece.cloud):
         return None
     task = build.task_of_job(job, robot)
-    problem = Problem(robot, workpiece, scenarios.stack([scenario]), job.settings, task, (), Execution(threads=1))
+    one = scenarios.stack([scenarios.with_goals_of(scenario, task.numbers)])  # only the goal of target 0 is used
+    problem = Problem(robot, workpiece, one, job.settings, task, (), Execution(threads=1))
     return partial(_shares, problem, job.program.near_part_m, job.program.near_part_speed)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions import coupled_axes, encoder_scale, joint_groups
 from htcp_jax.io.robots import joints_in_file
-from htcp_jax.jobs import build
+from htcp_jax.jobs import build, tasks_of_targets
 from htcp_jax.model import Robot, joints_between, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, manipulability, motion
@@ -70,8 +70,9 @@ class PlanProgram(NamedTuple):
     @property
     def manipulability(self) -> Float[np.ndarray, "T"]:
         """Smallest singular value of the task's Jacobian at each target [m/rad], see `motion.manipulability`."""
-        task = build.task_of_job(self.job, self.robot)
-        return manipulability.manipulability(self.robot, task, self.x, self.goals)
+        seam = np.searchsorted(self.seam_begins, np.arange(len(self.x)), "right")
+        tasks = [(each.task, each.here) for each in tasks_of_targets(self.job, self.robot, seam)]
+        return manipulability.along(self.robot, tasks, self.x, self.goals)
 
     @property
     def stops_within_seams(self) -> int:
@@ -288,7 +289,7 @@ def program_of_plans(
         why = end.segment_status.message if end.executable < end.tracked else "the next one is not tracked"
         raise InputError(f"{name}: the motion leads to only {end.executable} of {end.targets} targets; {why}")
     robot = robots.lengthen_tool(build.robot_of(job.robot, job.cell, job.tree), job.robot.tool_extension_m)
-    goals = build.scene(job)[2].goals if job.task else None
+    goals = build.scene(job)[2].goals if job.task_rows else None
     limits = joint_limits(robot, job.program, limits_of_job(job, robot))
     return timed_plan(plans, scenario, job, robot, goals, limits, feed_m_s, method, retract=retract)
 
@@ -333,7 +334,8 @@ def timed_plan(
     if job.cell.self_collision:
         left = left._replace(clearance=0.5 * left.clearance)  # two bodies may move towards each other
     if goals is not None:
-        left = with_rows(left, job, robot, whole, goals, plans.target[scenario])
+        tasks = tasks_of_targets(job, robot, plans.seam_of_targets)
+        left = with_rows(left, tasks, robot, whole, goals, plans.target[scenario])
     at = plans.x[scenario], plans.target[scenario] if goals is None else goals
     by_seam = () if isinstance(feed_m_s, float) else feed_m_s
     feed = np.array(by_seam)[plans.seam_of_targets] if by_seam else feed_m_s

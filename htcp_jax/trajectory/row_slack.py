@@ -13,7 +13,9 @@ more than the slack:
                        |q/|q| - q'/|q'|| <= |q - q'| / sqrt(|q| |q'|)
 """
 
+from collections.abc import Sequence
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import jax
@@ -39,6 +41,14 @@ class RowSlacks(NamedTuple):
     def features(self) -> tuple[Feature, ...]:
         """Features of all rows, concatenated."""
         return tuple(feature for row in self.rows for feature in row.features)
+
+    @staticmethod
+    def together(parts: "Sequence[RowSlacks]") -> "RowSlacks | None":
+        """Return the slack of the rows of several tasks at the same legs; None for no rows."""
+        if len(parts) < 2:
+            return parts[0] if parts else None
+        rows, left, apart = zip(*parts, strict=True)
+        return RowSlacks(tuple(chain(*rows)), np.concatenate(left, axis=1), np.concatenate(apart, axis=1))
 
     def only(self, which: Int[np.ndarray, "k"]) -> "RowSlacks":
         """Return the slack of the legs in `which`."""

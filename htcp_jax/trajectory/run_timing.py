@@ -216,7 +216,7 @@ class _Timer:
         if not plans.outcome(scenario).can_be_driven:
             return None
         arm = self.arm(job)
-        goals = build.scenario_of(job, arm, self._part(job, arm)).goals if job.task else None
+        goals = build.scenario_of(job, arm, self._part(job, arm)).goals if job.task_rows else None
         robot = robots.lengthen_tool(arm, job.robot.tool_extension_m)
         limits = joint_limits(robot, job.program, self._limits_in_file(job))
         try:

@@ -66,10 +66,11 @@ class WorkpieceData:
 
     @cached_property
     def tangents(self) -> Float[np.ndarray, "T 3"]:
-        """Unit tangents of the path, along each seam."""
+        """Unit tangents of the path, along each seam; NaN at a seam of one point."""
         if self.given_tangents is not None:
             return self.given_tangents
-        return np.concatenate([tangents_of(seam) for seam in np.split(self.path, self.seam_begins)])
+        seams = np.split(self.path, self.seam_begins)
+        return np.concatenate([tangents_of(seam) if len(seam) > 1 else np.full((1, 3), np.nan) for seam in seams])
 
 
 class Results(NamedTuple):

@@ -36,14 +36,25 @@ class RowCheck(NamedTuple):
 
     row: TaskRowKind  # where seams have their own tasks, the row of the first point
     off: Float[np.ndarray, "n"] | None  # deviation; None if the row's kind has no independent check
-    most: Float[np.ndarray, "n"]
+    most: Float[np.ndarray, "n"]  # infinite at points whose task lacks the row
+    number: int = 1  # of the row in its task, counted from 1
 
-    def reason(self, number: int, k: int) -> str | None:
+    @property
+    def key(self) -> tuple[int, type]:
+        """Number and class of the row; checks with the same key are of one row, with other values at each point."""
+        return self.number, type(self.row)
+
+    @property
+    def label(self) -> str:
+        """The row's number and its text, such as "task.2 (axis tcp.z)"."""
+        return f"task.{self.number} ({self.row})"
+
+    def reason(self, k: int) -> str | None:
         """Return a sentence on the row's violation at the k-th point; None if the row is satisfied."""
         if self.off is None or self.off[k] <= self.most[k] + ROUNDING_M:
             return None
         off, most = self.factor * self.off[k], self.factor * self.most[k]
-        return f"task.{number} ({self.row}) deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
+        return f"{self.label} deviates by {off:.5g} {self.unit}, {most:.4g} are allowed"
 
     @property
     def unit(self) -> str:
@@ -198,19 +209,29 @@ def tasks_at(
         return
     number = np.searchsorted(workpiece.seam_begins, point, "right")
     for seam in np.unique(number).tolist():
-        yield job.workpiece.seams[seam].task or job.task, np.flatnonzero(number == seam)
+        yield job.tasks[seam], np.flatnonzero(number == seam)
 
 
-def joined_rows(parts: Sequence[tuple[list[RowCheck], Int[np.ndarray, "k"]]]) -> list[RowCheck]:
-    """Return the checks of a task's rows at all points, from those at some points and these points' positions."""
+def joined_rows(parts: Sequence[tuple[list[RowCheck], Int[np.ndarray, "k"]]], count: int) -> list[RowCheck]:
+    """Return the checks of the rows of several tasks at all points, from those at the points of each task.
+
+    Args:
+        parts: The checks of each task's rows, and the positions of its points.
+        count: Number of all points.
+    """
     if len(parts) == 1:
         return parts[0][0]
-    order = np.argsort(np.concatenate([which for _, which in parts])) if parts else []
-    found = []
-    for rows in zip(*(rows for rows, _ in parts), strict=True):
-        off = None if any(row.off is None for row in rows) else np.concatenate([row.off for row in rows])[order]
-        found.append(RowCheck(rows[0].row, off, np.concatenate([row.most for row in rows])[order]))
-    return found
+    found = dict[tuple[int, type], RowCheck]()
+    for rows, which in parts:
+        for row in rows:
+            first = RowCheck(row.row, np.zeros(count), np.full(count, np.inf), row.number)
+            whole = found.setdefault(row.key, first)
+            whole.most[which] = row.most
+            if row.off is None or whole.off is None:
+                found[row.key] = whole._replace(off=None)
+            else:
+                whole.off[which] = row.off
+    return list(found.values())
 
 
 def check_rows(
@@ -232,7 +253,10 @@ def check_rows(
         tolerance_rad: Tolerance of direction rows without a tolerance of their own [rad].
     """
     posed, most_deg = PosedArm(arm, x), float(np.rad2deg(tolerance_rad))
-    return [_check_row(row, posed, place, tolerance_m, most_deg) for row in rows or (TCP_ON_PATH,)]
+    return [
+        _check_row(row, posed, place, tolerance_m, most_deg)._replace(number=number)
+        for number, row in enumerate(rows or (TCP_ON_PATH,), 1)
+    ]
 
 
 def hold_between(

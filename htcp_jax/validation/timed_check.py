@@ -78,21 +78,26 @@ def check_timed(
     track = next(one for one in results.tracks if (one.method, one.scenario) == (method, scenario))
     arm, wall, surroundings = LoadedParts(results).of(track)
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
-    part, settings, task = results.workpiece(track.config), track.config.settings, track.config.task
+    part, settings = results.workpiece(track.config), track.config.settings
     contact_m = track.config.workpiece.tip_contact_m
     clearance, tcp, through = _measure(
         scene, timed.x, required_m(track), contact_m, progress or (lambda done, count: None)
     )
     off, (turns_back, breaks) = np.zeros(len(timed.x)), np.zeros((2, len(timed.x)), bool)
     held = _path_configurations(timed, tcp)
-    if holds_tcp(task):
+    tasks, is_held = list(tasks_at(track.config, part, held.to - on_path)), np.zeros(len(held.to), bool)
+    for rows, which in tasks:
+        is_held[which] = holds_tcp(rows)
+    if is_held.any():
         stays = held.span[:, 0] == held.span[:, 1]
         shares = np.where(stays, held.span.T, [[0.0], [1.0]])  # the complete line unless the arm stays at a point
         line = targets[held.to] - targets[held.before]
         begin, end = (targets[held.before] + share[:, None] * line for share in shares)
-        off[held.rows] = from_line(held.tcp, begin, end)
-        turns_back[held.rows] = _turns_back(held, end - begin)
-    for rows, which in tasks_at(track.config, part, held.to - on_path) if task else ():
+        off[held.rows] = np.where(is_held, from_line(held.tcp, begin, end), 0.0)
+        turns_back[held.rows] = is_held & _turns_back(held, end - begin)
+    for rows, which in tasks:
+        if not rows:
+            continue
         to, shares = held.to[which] - on_path, held.span[which].T
         ends = [part_between(rows, scene.rotate, scene.translate, part, to, share) for share in shares]
         breaks[held.rows[which]] = ~hold_between(rows, arm, held.x[which], *ends, settings).all(axis=0)

@@ -99,18 +99,16 @@ def check(
     scene, targets, on_path = scene_of(results, arm, wall, surroundings, track)
     begins = on_path + np.array(results.workpiece(track.config).seam_begins, int)
     follows = (np.arange(len(targets)) > on_path) & ~np.isin(np.arange(len(targets)), begins)
-    task, settings = track.config.task, track.config.settings
-    t = np.flatnonzero(track.tracked)
+    settings, t = track.config.settings, np.flatnonzero(track.tracked)
     rows = np.concatenate([track.start[None], track.x[t]])  # the start is row 0
     mesh, hulls = wall.triangles is not None, any(arm.hulls)
     cover_m = results.workpiece(track.config).cover_m if mesh else 0.0
     at = scene.at(rows, _required(track, t), cover_m)
-    reached = path_follower(task, arm, track.x[t]) if task else at.arm_poses.tcp[1:]
     more = at.clearance[1:] - track.clearance[t]
     # A saved clearance may be smaller by the covering radius, or because it is a lower bound.
     bound = mesh or hulls or (surroundings is not None and surroundings.bound)
     found = {
-        "tcp_error": np.linalg.norm(reached - targets[t], axis=1) if follows_all(task) else np.zeros(len(t)),
+        "tcp_error": _path_errors(results, arm, track, targets, t, on_path, at.arm_poses.tcp[1:]),
         "clearance": at.clearance[1:],
         "clearance_off": np.abs(np.minimum(more, 0.0) if bound else more),
         "tcp_off": np.linalg.norm(at.arm_poses.tcp[1:] - track.tcp[t], axis=1),
@@ -137,7 +135,7 @@ def check(
         *_at_targets(arm, track, t, tolerance, record_m, {**found, "through": through}),
         *_on_start(arm, track, at.clearance[0]),
         *_on_via_points(arm, track, paths),
-        *_on_segments(track, paths, between_rows, follows, least_m),
+        *_on_segments(track, paths, between_rows, follows, least_m, _tcp_is_held(results, track, on_path)),
         *_on_joint_steps(arm, track, paths, follows),
         *_on_indexed_axes(arm, track, paths, follows),
         *_on_rows(rows_hold, on),
@@ -159,6 +157,44 @@ def check(
         on_path=on,
         rows=rows_hold,
     )
+
+
+def _path_errors(
+    results: Results,
+    arm: MujocoArm,
+    track: Track,
+    targets: Float[np.ndarray, "T 3"],
+    t: Int[np.ndarray, "n"],
+    on_path: int,
+    tcp: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n"]:
+    """Return the distance of the point that follows the path from targets t [m]; 0 where it may be elsewhere.
+
+    Args:
+        results: The results.
+        arm: The arm, with the track's tool.
+        track: The track.
+        targets: All targets, world [m].
+        t: Indices of targets.
+        on_path: Index of the path's first point.
+        tcp: Positions of the TCP at the targets t, world [m].
+    """
+    found = np.zeros(len(t))
+    for rows, which in tasks_at(track.config, results.workpiece(track.config), np.maximum(t - on_path, 0)):
+        if follows_all(rows):
+            reached = path_follower(rows, arm, track.x[t[which]]) if rows else tcp[which]
+            found[which] = np.linalg.norm(reached - targets[t[which]], axis=1)
+    return found
+
+
+def _tcp_is_held(results: Results, track: Track, on_path: int) -> Bool[np.ndarray, "T"]:
+    """Return True for targets at which a row of the task holds the TCP on the path."""
+    count = len(track.target)
+    found = np.zeros(count, bool)
+    point = np.maximum(np.arange(count) - on_path, 0)
+    for rows, which in tasks_at(track.config, results.workpiece(track.config), point):
+        found[which] = holds_tcp(rows)
+    return found
 
 
 def _segment_margins(track: Track, count: int, begins: Int[np.ndarray, "_"]) -> Float[np.ndarray, "T"]:
@@ -204,7 +240,7 @@ def scene_of(
     inlet = None if workpiece.inlet is None else rotate @ workpiece.inlet + translate
     start = track.start if track.config.start is None else np.array(track.config.start)
     path = workpiece.path @ rotate.T + translate
-    targets = targets_of(track.config, path_follower(track.config.task, arm, start[None])[0], inlet, path)
+    targets = targets_of(track.config, path_follower(track.config.tasks[0], arm, start[None])[0], inlet, path)
     if len(targets) != len(track.target):
         raise InputError(
             f"{results.folder}: scenario {track.scenario} has {len(track.target)} saved targets, "
@@ -234,24 +270,24 @@ def _at_targets(
 def _check_task_rows(
     results: Results, arm: MujocoArm, track: Track, scene: CheckedScene, t: np.ndarray, on_path: int
 ) -> list[RowCheck]:
-    """Return the checks of the task's rows at targets t of the path; empty if the job has no task.
+    """Return the checks of the rows of the tasks at targets t of the path; empty if the job has no task.
 
     Without a task, the only requirement is the TCP's position, which `check` tests.
     """
     job, part, settings = track.config, results.workpiece(track.config), track.config.settings
-    if not job.task:
+    if not job.task_rows:
         return []
     found, tolerances = [], (settings.tolerance_m, settings.tolerance_rad)
     for task, which in tasks_at(job, part, t - on_path):
         place = RowPlace(scene.rotate, scene.translate, part, t[which] - on_path)
         found.append((check_rows(task, arm, track.x[t[which]], place, *tolerances), which))
-    return joined_rows(found)
+    return joined_rows(found, len(t))
 
 
 def _on_rows(rows: list[RowCheck], t: np.ndarray) -> Iterator[tuple[int, str]]:
     """Yield the targets in t at which a row of the task is violated."""
     for k, target in enumerate(t.tolist()):
-        if reasons := [reason for n, one in enumerate(rows, 1) if (reason := one.reason(n, k)) is not None]:
+        if reasons := [reason for one in rows if (reason := one.reason(k)) is not None]:
             yield target, "; ".join(reasons)
 
 
@@ -266,23 +302,24 @@ def _on_rows_between(
     follows: Bool[np.ndarray, "T"],
 ) -> Iterator[tuple[int, str]]:
     """Yield the targets of proven segments along the path on which a row of the task is violated."""
-    task, own = track.config.task, np.flatnonzero((track.proven & follows)[paths.target])
-    if not task or between < 2 or not len(own):
+    own = np.flatnonzero((track.proven & follows)[paths.target])
+    if not track.config.task_rows or between < 2 or not len(own):
         return
     share = np.arange(1, between) / between
     path = np.repeat(own, len(share))
     x = paths.a[path] + np.tile(share, len(own))[:, None] * (paths.b[path] - paths.a[path])
-    part = results.workpiece(track.config)
-    good = np.ones((len(task), len(x)), bool)
+    part, found = results.workpiece(track.config), dict[int, str]()
     for rows, which in tasks_at(track.config, part, paths.target[path] - on_path):
         here = np.unique(path[which])
         row, span = paths.target[here] - on_path, paths.span[here]
         places = [part_between(rows, scene.rotate, scene.translate, part, row, span[:, k]) for k in (0, 1)]
         places = [place._replace(point=place.point[np.searchsorted(here, path[which])]) for place in places]
-        good[:, which] = hold_between(rows, arm, x[which], *places, track.config.settings)
-    for target in np.unique(paths.target[path[~good.all(axis=0)]]).tolist():
-        number = int(np.argmin(good[:, paths.target[path] == target].all(axis=1)))
-        yield target, f"the segment is recorded as valid, but violates task.{number + 1} ({task[number]})"
+        good, target = hold_between(rows, arm, x[which], *places, track.config.settings), paths.target[path[which]]
+        for each in np.unique(target[~good.all(axis=0)]).tolist():
+            number = int(np.argmin(good[:, target == each].all(axis=1)))
+            what = f"task.{number + 1} ({rows[number]})"
+            found[each] = f"the segment is recorded as valid, but violates {what}"
+    yield from sorted(found.items())
 
 
 def _failure_reasons(
@@ -354,6 +391,7 @@ def _on_segments(
     found: dict[str, Any],
     follows: Bool[np.ndarray, "T"],
     margin_m: Float[np.ndarray, "T"],
+    is_held: Bool[np.ndarray, "T"],
 ) -> list[tuple[int, str]]:
     """Return the targets of segments that are saved as proven motions, but collide, leave the path or lack the margin.
 
@@ -363,7 +401,7 @@ def _on_segments(
         return []
     proven, reasons = track.proven[paths.target], {}
     settings = track.config.settings
-    away = holds_tcp(track.config.task) & proven & ~(found["deviation"] <= settings.tube_m + ROUNDING_M)
+    away = is_held[paths.target] & proven & ~(found["deviation"] <= settings.tube_m + ROUNDING_M)
     for k in np.flatnonzero(track.claimed[paths.target] & found["touches"]).tolist():
         what = "is recorded as valid" if proven[k] else "has via points"
         reasons.setdefault(int(paths.target[k]), f"the segment {what}, but collides")

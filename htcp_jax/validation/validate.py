@@ -34,6 +34,7 @@ from htcp_jax.validation.mujoco_clearance import Wall, wall_of
 from htcp_jax.validation.records import read_results
 from htcp_jax.validation.result import STEP_RAD, MethodCheck, RowDeviation, TargetPlace, Validation
 from htcp_jax.validation.scene_rules import Results, Track
+from htcp_jax.validation.task_check import RowCheck
 from htcp_jax.validation.track import TrackCheck, check
 
 LISTED = 100  # maximum number of refuted targets in the list
@@ -248,29 +249,29 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
 
 def _row_deviations(checked: Sequence[TrackCheck]) -> tuple[RowDeviation, ...]:
     """Return the deviation with the largest ratio to its tolerance, for every row of the task."""
-    found = [
-        [_row_deviation(one, number) for number, row in enumerate(one.rows) if not row.unchecked]
-        for one in checked
-        if len(one.on_path)
-    ]
-    return tuple(max(rows, key=lambda row: row.off / row.most) for rows in zip(*found, strict=True))
+    found = dict[tuple[int, type], RowDeviation]()
+    for one in checked:
+        for row in one.rows if len(one.on_path) else ():
+            if not row.unchecked:
+                own = _row_deviation(one, row)
+                found[row.key] = max(found.get(row.key, own), own, key=lambda each: each.off / each.most)
+    return tuple(found[key] for key in sorted(found, key=lambda key: key[0]))
 
 
 def _unchecked(checked: Sequence[TrackCheck], cells: Iterable[MujocoCell]) -> tuple[str, ...]:
     """Return sentences on obstacles without shapes, and on rows without an independent check."""
     obstacles = sorted({name for cell in cells for name in cell.unmeasured})
     lines = [f"The obstacle {name!r} is not measured: it has no shapes for MuJoCo." for name in obstacles]
-    rows = {f"task.{k} ({row.row})" for one in checked for k, row in enumerate(one.rows, 1) if row.unchecked}
+    rows = {row.label for one in checked for row in one.rows if row.unchecked}
     return *lines, *(f"The row {row} is not validated: its kind defines no method deviation." for row in sorted(rows))
 
 
-def _row_deviation(one: TrackCheck, number: int) -> RowDeviation:
+def _row_deviation(one: TrackCheck, row: RowCheck) -> RowDeviation:
     """Return the largest deviation from a row of the task in one track."""
-    row = one.rows[number]
-    k = int(np.argmax(row.off / row.most))
+    k = int(np.argmax(np.where(np.isinf(row.most), -1.0, row.off / row.most)))
     at = one.scenario, int(one.on_path[k])
     return RowDeviation(
-        f"task.{number + 1}: {row.row}", row.factor * float(row.off[k]), row.factor * float(row.most[k]), row.unit, at
+        f"task.{row.number}: {row.row}", row.factor * float(row.off[k]), row.factor * float(row.most[k]), row.unit, at
     )
 
 

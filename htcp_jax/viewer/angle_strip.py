@@ -12,25 +12,24 @@ from htcp_jax.viewer.colours import INK
 COLOURS = "#1f6fb2", "#c0392b", "#7a8791"  # work angle, travel angle, spin
 
 
-def draw_angles(axes: Axes, rows: Sequence[tuple[int, ToolAxisRow]], angles: Float[np.ndarray, "T 3"]) -> None:
+def draw_angles(axes: Axes, rows: Sequence[tuple[slice, ToolAxisRow]], angles: Float[np.ndarray, "T 3"]) -> None:
     """Draw the angles over the target index; a band is an allowed range. A free spin is not drawn.
 
     Args:
         axes: The axes.
-        rows: First target of each seam, and the row with its allowed angles. All rows limit the same angles.
+        rows: Targets of each seam that limits the angles, and the row that limits them.
         angles: Work angle, travel angle and spin at each target [degrees]; NaN where unknown.
     """
-    ends = [*(first for first, _ in rows[1:]), len(angles)]
     for k, (name, colour) in enumerate(zip(TOOL_ANGLES, COLOURS, strict=True)):
-        if name == TOOL_ANGLES[-1] and getattr(rows[0][1], name) == "free":
-            continue
-        for (first, row), end in zip(rows, ends, strict=True):
-            words = name.removesuffix("_deg").replace("_", " ") if row is rows[0][1] and not first else None
-            axes.plot(range(first, end), angles[first:end, k], color=colour, linewidth=1.4, label=words)
+        label: str | None = name.removesuffix("_deg").replace("_", " ")
+        for here, row in rows:
+            if name == TOOL_ANGLES[-1] and getattr(row, name) == "free":
+                continue
+            axes.plot(range(here.start, here.stop), angles[here, k], color=colour, linewidth=1.4, label=label)
+            label = None
             if isinstance(getattr(row, name), tuple):
-                axes.fill_between(
-                    [first - 0.5, end - 0.5], *row.bounds_deg(name), color=colour, alpha=0.12, linewidth=0
-                )
+                ends = [here.start - 0.5, here.stop - 0.5]
+                axes.fill_between(ends, *row.bounds_deg(name), color=colour, alpha=0.12, linewidth=0)
     axes.set_xlim(-1, len(angles))
     axes.set_xlabel("target", color=INK)
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)

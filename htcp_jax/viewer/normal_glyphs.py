@@ -18,7 +18,7 @@ def glyphs(
 ) -> NormalGlyphs:
     """Return one glyph per point of the path, or two if a row of the task refers to a fillet's plates.
 
-    None if no row of the task refers to normals.
+    Where the path has no normal, a glyph has no length. None if no row of the task refers to normals.
 
     Args:
         task: Rows of the task.
@@ -29,5 +29,7 @@ def glyphs(
         return NO_GLYPHS
     plates = workpiece.frames.plates if any("plates" in row.uses for row in task) else None
     normals = [workpiece.normals] if plates is None else [*np.moveaxis(plates, 1, 0)]
-    both = np.concatenate([np.stack([workpiece.path, workpiece.path + LENGTH_M * each], axis=1) for each in normals])
+    both = np.concatenate(
+        [np.stack([workpiece.path, workpiece.path + LENGTH_M * np.nan_to_num(each)], axis=1) for each in normals]
+    )
     return both @ T_world_workpiece[:3, :3].T + T_world_workpiece[:3, 3]

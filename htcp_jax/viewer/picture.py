@@ -80,7 +80,7 @@ def draw_plan(
     obstruction: Obstruction | None = None,
     fixtures: surface.WorldGeometry = surface.NOTHING,
     normals: NormalGlyphs = NO_GLYPHS,
-    angles: tuple[Sequence[tuple[int, ToolAxisRow]], Float[np.ndarray, "T 3"]] | None = None,
+    angles: tuple[Sequence[tuple[slice, ToolAxisRow]], Float[np.ndarray, "T 3"]] | None = None,
     seams: Sequence[str] = (),
 ) -> Figure:
     """Draw a plan: the arm in the workpiece in two views, and the clearance along the path.

@@ -246,7 +246,7 @@ class Replays:
             sides=sides,
             sides_in_world=sides_in_world,
             fixtures=cell.fixtures,
-            normals=glyphs(cell.config.task, cell.workpiece, placement.T_world_workpiece),
+            normals=glyphs(cell.config.task_rows, cell.workpiece, placement.T_world_workpiece),
             file=self.file,
         )
 
@@ -264,7 +264,8 @@ class Replays:
         plans, together = self.plans(method), dict[tuple[Hashable, Task | None], dict[int, int]]()
         for number in range(len(plans.status)) if numbers is None else numbers:
             if (target := obstruction_module.blocked_target(plans, number)) is not None:
-                together.setdefault((self.cells.key(number), self.cells.task(number)), {})[number] = target
+                task = self.cells.task(number, int(plans.seam_of_targets[target]))
+                together.setdefault((self.cells.key(number), task), {})[number] = target
         found = {}
         for (key, task), targets in together.items():
             found |= self._colliding_bodies(self.cells.cell(key), task, plans, targets)
@@ -283,7 +284,9 @@ class Replays:
         """
         where = jax.tree.map(lambda *leaves: np.stack(leaves), *map(self.cells.placement, targets))
         s, t = np.array(list(targets)), np.array(list(targets.values()))
-        goals = plans.target[s, t] if task is None else np.stack([self.cells.goals(n)[k] for n, k in targets.items()])
+        goals = plans.target[s, t]
+        if task is not None:
+            goals = np.stack([self.cells.goals(n)[k, : task.numbers] for n, k in targets.items()])
         how = plans.before(s, t), goals, cell.config.settings, task
         return dict(zip(targets, obstruction_module.obstructions(cell.robot, cell.obstacle, where, *how), strict=True))
 

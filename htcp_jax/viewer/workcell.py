@@ -95,9 +95,9 @@ class RecordedCells:
         placement = _placement(cell.robot, cell.workpiece, found.parameters[number])
         return placement._replace(obstacle_numbers=numbers_of(kinds) if kinds else None)
 
-    def task(self, number: int) -> Task | None:
-        """Task of a scenario; None: the default one."""
-        return _task_of(self._found.jobs[number], self.cell(self.key(number)).robot)
+    def task(self, number: int, seam: int) -> Task | None:
+        """Return the task of a scenario on one of its seams; None: the default one."""
+        return _task_of(self._found.jobs[number], self.cell(self.key(number)).robot, seam)
 
     def goals(self, number: int) -> Float[np.ndarray, "T G"]:
         """Goals of a scenario's task, which are computed again from its job, as they are not saved."""
@@ -137,9 +137,9 @@ class GivenCell:
         """Return the placement, which is the same in every scenario."""
         return self._placement
 
-    def task(self, number: int) -> Task | None:
-        """Task of every scenario; None: the default one."""
-        return _task_of(self._cell.config, self._cell.robot)
+    def task(self, number: int, seam: int) -> Task | None:
+        """Return the task of every scenario on one of its seams; None: the default one."""
+        return _task_of(self._cell.config, self._cell.robot, seam)
 
     def goals(self, number: int) -> Float[np.ndarray, "T G"]:
         """Goals of the task in every scenario."""
@@ -149,8 +149,8 @@ class GivenCell:
 Workcells = RecordedCells | GivenCell
 
 
-def _task_of(job: PlanConfig, robot: Robot) -> Task | None:
-    return build.task_of_job(job, robot) if job.task else None
+def _task_of(job: PlanConfig, robot: Robot, seam: int) -> Task | None:
+    return build.task_of_job(job, robot, seam) if job.tasks[seam] else None
 
 
 def cells_of(found: PlanSet) -> RecordedCells:

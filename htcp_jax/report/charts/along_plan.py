@@ -28,7 +28,7 @@ class AlongPlan(NamedTuple):
     plans: Plans
     scenario: Scenario
     seams: Sequence[str]  # names of several seams
-    angles: tuple[Sequence[tuple[int, ToolAxisRow]], Float[np.ndarray, "T 3"]] | None  # see `viewer.draw_angles`
+    angles: tuple[Sequence[tuple[slice, ToolAxisRow]], Float[np.ndarray, "T 3"]] | None  # see `viewer.draw_angles`
     program: PlanProgram | None  # None: not timed
 
 
