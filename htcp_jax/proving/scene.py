@@ -28,7 +28,7 @@ class ProofInputs(NamedTuple):
 
     robot: Robot
     job: PlanConfig | None  # the job, resolved; None: the scene is made from a robot
-    others: tuple[Obstacle | ObstacleKind, ...]  # all obstacles without the part
+    others: tuple[Obstacle | ObstacleKind, ...]  # obstacles in addition to the part's and the job's
     has_part: bool  # False: no workpiece, and no path
 
 
@@ -83,10 +83,10 @@ def inputs_of(
     task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
     device: str | None = None,
 ) -> ProofInputs:
-    """Return the robot and the job of a scene, without the part, which takes longest; see `scene_of`.
+    """Return the robot and the job of a scene, without the part and the cell, which take longest; see `scene_of`.
 
     Raises:
-        InputError: If the job, its robot or its cell is invalid.
+        InputError: If the job or its robot is invalid.
     """
     if isinstance(cell, Robot):
         if overrides or task is not None:
@@ -102,11 +102,10 @@ def inputs_of(
         job = job.model_copy(update={"start_rad": "auto"})
     with devices.on(devices.choose(device)[0]):
         job, robot = jobs.build.with_robot(job, source)
-        others = (*jobs.build.obstacles_of(job.cell, robot), *built)
     stated = job.model_fields_set
     has_path = job.workpiece.has_cloud or "path" in job.workpiece.model_fields_set
     has_part = has_path and (is_loaded or "workpiece" in stated or not stated & {"robot", "cell"})
-    return ProofInputs(robot, job, others, has_part)
+    return ProofInputs(robot, job, built, has_part)
 
 
 def build_scene(inputs: ProofInputs, device: str | None = None) -> ProofScene:
@@ -131,6 +130,7 @@ def _scene(inputs: ProofInputs, device: str | None) -> ProofScene:
     robot, job, others, has_part = inputs
     if job is None:
         return ProofScene(_without_part(robot, others, None, device), None, False)
+    others = (*jobs.build.obstacles_of(job.cell, robot), *others)
     if has_part:
         workpiece = jobs.build.workpiece_of(job.workpiece, robot)
         there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
