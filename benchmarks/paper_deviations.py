@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Scene, own_scene
+from htcp_jax.clearance import Scene, clearance, own_scene
 from htcp_jax.device import Executor
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.device.lane_function import DEEP_LOOP, LaneFunction
@@ -163,6 +163,65 @@ def cmaes(runs: Runs) -> None:
     table(("sigma", "first direction", "norm of w", "result", "generations", "success"), (row(*case) for case in cases))
 
 
+def cmaes_box(runs: Runs) -> None:
+    """CMA-ES without |w| = 1: samples of any length, in a box or penalised; re-anchoring after the last step only."""
+
+    def minimise(sigma, first, limit, penalty, is_unit, problem, seen, key, settings):
+        population, dimension = settings.population, problem.curvature.shape[0]
+        strategy = cma_es.strategy_parameters(population, dimension)
+        unit = lambda w: w / jnp.linalg.norm(w)  # noqa: E731
+
+        def kept(samples):
+            if limit == "ball":
+                return samples / jnp.maximum(1, jnp.linalg.norm(samples, axis=1, keepdims=True))
+            return jnp.clip(samples, -1, 1) if limit == "box" else samples
+
+        def merit(w):
+            return problem.measure(w) - penalty * (w @ w - 1) ** 2
+
+        def body(generation, state):
+            distribution, best, value = state
+            samples = kept(cma_es.ask(distribution, jax.random.fold_in(key, generation), population))
+            merits = jax.vmap(merit)(samples)
+            top = jnp.argmax(merits)
+            best = jnp.where(merits[top] > value, samples[top], best)
+            return cma_es.tell(distribution, samples, -merits, strategy), best, jnp.maximum(merits[top], value)
+
+        start_key = jax.random.fold_in(key, settings.generations)
+        mean = jnp.zeros(dimension) if first == "zero" else jax.random.uniform(start_key, (dimension,), minval=-1)
+        state = cma_es.start(mean, sigma), mean, jnp.full((), -jnp.inf)
+        _, best, value = jax.lax.fori_loop(0, settings.generations, body, state)
+        return sphere.Best(unit(best) if is_unit else best, value)
+
+    def row(sigma, first, limit, penalty=0.0, is_unit=False, anchors="each step"):
+        own = partial(minimise, sigma, first, limit, penalty, is_unit)
+        stage = (AnchoredAtTheEnd if anchors == "last step" else NullSpace)(own, ("population", "generations"))
+        with registered(StepQPs("own", "own", "own", stages=(stage,))) as name:
+            found = runs.success(name)
+        return str(sigma), first, limit, f"{penalty:g}", "w / |w|" if is_unit else "w", anchors, found
+
+    cases = [(sigma, "in the box", "none") for sigma in (0.3, 0.6, 1.0)] + [(0.5, "zero", "none")]
+    cases += [(0.6, "in the box", "box"), (0.6, "in the box", "ball"), (0.3, "zero", "box")]
+    cases += [(0.6, "in the box", "none", 0.0, True), (0.6, "in the box", "box", 0.0, True)]
+    cases += [(0.6, "in the box", "none", penalty) for penalty in (0.1, 0.3, 1.0, 3.0)]
+    cases += [(0.6, "in the box", limit, 0.0, unit, "last step") for limit, unit in (("none", True), ("box", False))]
+    head = ("sigma", "first mean", "limits", "penalty on w'w - 1 [m]", "moves by", "re-anchors after", "success")
+    table(head, (row(*case) for case in cases))
+
+
+def late_anchor(runs: Runs) -> None:
+    """Re-anchoring after the last null-space step only, with the three minimisers of the paper."""
+
+    def row(name):
+        stages = [AnchoredAtTheEnd(stage.minimise, stage.settings) for stage in registry.METHODS[name].stages]
+        with registered(StepQPs("own", "own", "own", stages=tuple(stages))) as own:
+            found = runs.success(own)
+        paper = " / ".join(f"{PAPER[sweep][0][SIX.index(name)]:.2f}" for sweep in SWEEPS)
+        return name, runs.success(name), found, paper
+
+    table(("method", "after each step", "after the last step", "paper"), map(row, OPTIMISERS))
+
+
 def starts(runs: Runs) -> None:
     """Joints that vary, and the start's configuration."""
     joints = tuple((f"start_rad.{joint}:", f"start_rad.{joint - 1}:") for joint in (3, 4, 5))
@@ -240,6 +299,39 @@ def best_null_space_steps(
     first = measured(settings, scene, lane, x_ref)
     _, best, _ = jax.lax.while_loop(going, step, (x_ref, first, jnp.zeros((), jnp.int32)))
     return NullSpaceState(best, jnp.full((), settings.max_null_space_steps, jnp.int32))
+
+
+def null_space_steps_anchored_at_the_end(
+    minimise, index, settings, scene, lane, x_previous, x_ref, null_space_steps, most
+) -> NullSpaceState:
+    """Move along J2's directions until D exceeds the margin, without re-anchoring between the steps; then re-anchor."""
+    stuck = stuck_at(lane, x_previous, index)
+
+    def going(state):
+        x, count = state
+        clear = clearance(scene.robot, scene.obstacles, lane, x) > lane.margin_m
+        return (count < settings.max_null_space_steps) & ~(clear & (count > 0))
+
+    def step(state):
+        x, count = state
+        problem, held, basis = sphere_problem(scene, settings, lane, x, stuck.target)
+        best = minimise(problem, held, jax.random.fold_in(stuck.key, count), settings)
+        return jnp.clip(x + basis @ best.w, scene.robot.lower, scene.robot.upper), count + 1
+
+    x, _ = jax.lax.while_loop(going, step, (x_ref, jnp.zeros((), jnp.int32)))
+    x = anchor(scene, settings, lane, x, lane.target).x
+    return NullSpaceState(measured(settings, scene, lane, x), jnp.full((), settings.max_null_space_steps, jnp.int32))
+
+
+@dataclass(frozen=True)
+class AnchoredAtTheEnd(NullSpace):
+    """Null-space stage by `null_space_steps_anchored_at_the_end`."""
+
+    def lane_function(self, index: int) -> LaneFunction:
+        """Return the complete loop, as stage `index` of a method."""
+        reads = *READS, *READS_OF_MEASURED, "max_null_space_steps", *self.settings
+        own = null_space_steps_anchored_at_the_end
+        return LaneFunction(f"at the end {index}", own, DEEP_LOOP, reads, (self.minimise, index))
 
 
 @dataclass(frozen=True)
@@ -472,6 +564,8 @@ def fmincon(runs: Runs) -> None:
 EXPERIMENTS = {
     "readings": readings,
     "cmaes": cmaes,
+    "cmaes-box": cmaes_box,
+    "late-anchor": late_anchor,
     "starts": starts,
     "sample-step": sample_step,
     "columns": columns,

@@ -15,7 +15,16 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config, source_of, with_kinds
-from htcp_jax.model import Robot, Scenario, Workpiece, interior_rule, place_of, tool_angles_at, with_own_tool
+from htcp_jax.model import (
+    Robot,
+    Scenario,
+    Workpiece,
+    denser_spacing,
+    interior_rule,
+    place_of,
+    tool_angles_at,
+    with_own_tool,
+)
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Motion, Plans, Problem, Tried
@@ -386,20 +395,28 @@ class Plan:
             facts["cause"] = self.start_cause.description
         elif self.obstruction is not None:
             facts[self.obstruction.heading] = self.obstruction.description
+        nearest = self.start_cause and self.start_cause.attempt
         if refused is not None:
-            facts["segment"] = refused.description(self._bodies_at(refused))
+            nearest = self._nearest_at(refused)
+            facts["segment"] = refused.description(nearest.description if nearest else "")
             facts |= failure_texts.aim(refused, self.job)
-        facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments)
+        start_m = None if self.start_cause is None or not self.start_cause.depth_m < 0 else -self.start_cause.depth_m
+        lack_m = np.inf
+        if nearest is not None and "workpiece" in nearest.other:
+            lack_m = nearest.depth_m + (self.job.margin_m if refused is None else refused.margin_m)
+        facts |= failure_texts.coarse_mesh(self.workpiece.covering_radius_m, lack_m)
+        spacing = denser_spacing(self.workpiece.covering_radius_m, lack_m)
+        facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments, spacing, start_m)
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message
         return facts
 
-    def _bodies_at(self, refused: RefusedSegment) -> str:
-        """Return text about the bodies nearest to each other where a segment is refused; "" if it is clear there."""
+    def _nearest_at(self, refused: RefusedSegment) -> start_causes.Attempt | None:
+        """Return the bodies nearest to each other where a segment is refused; None if it is clear there."""
         if refused.leaves_path or refused.verdict == SegmentStatus.VALID:
-            return ""
+            return None
         with devices.on(devices.choose(self.device)[0]):
-            return start_causes.closest_bodies(self._problem, refused.x).description
+            return start_causes.closest_bodies(self._problem, refused.x)
 
     def frame(self) -> "pandas.DataFrame":
         """Return a table with one row per target, with the columns of the table of targets of a sweep."""
@@ -411,6 +428,7 @@ class Plan:
                 runs.tables.joint_columns(self.robot),
                 self.manipulability[None],
                 runs.tables.follower_columns(self.robot, self.plans.x),
+                None if self.tool_angles is None else self.tool_angles[None],
             )
         )
 

@@ -230,9 +230,14 @@ def test_what_cannot_be_read_is_refused_with_its_line(text, message, tmp_path):
     assert str(caught.value).startswith(f"{tmp_path / 'part.apt'}{message}") and "\n" not in str(caught.value)
 
 
-def test_g_code_by_its_ending_and_columns_are_refused(tmp_path):
+def test_g_code_and_columns_are_refused(tmp_path):
     with pytest.raises(InputError, match="G-code is not read"):
         read(tmp_path, "X1\n", "part.nc")
+    for text in ("%\nG90\nG21\nG01 X1 Y2 Z3 A10 C20\n", "N10 G1 X1 Y2 Z3\nN20 X2 Y2 Z3\n"):
+        with pytest.raises(InputError, match=r"line [23]: G-code is not read"):
+            read(tmp_path, text, "part.txt")
+    with pytest.raises(InputError, match="line 1: G-code is not read"):
+        read(tmp_path, "X1 Y2 Z3 A10 C20\n")
     with pytest.raises(InputError, match=r"workpiece\.path_columns is for tables"):
         read(tmp_path, f"{START}GOTO/1,0,0\n", chosen={"x": 1, "y": 2, "z": 3})
     with pytest.raises(InputError, match=r"unknown ending '\.foo'; valid: \.xyz \.csv \.txt \.apt \.cls"):

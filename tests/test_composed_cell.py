@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import toy
+from scipy.spatial.transform import Rotation
 from test_moving_part import ARM, HEAD, TABLE, TCP, by_chain, cell_of, composed_in, in_mujoco, job_in
 
 from htcp_jax.clearance.obstacles.self_collision import make_self_collision
@@ -16,6 +17,7 @@ from htcp_jax.jobs import build, load_config
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.runs.identity import identity
 from htcp_jax.runs.input_files import anchor_files, file_hashes
+from htcp_jax.trajectory.plan_program import planned_tcp
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
 
@@ -278,3 +280,22 @@ def test_all_joints_of_an_indexed_model_are_indexed_and_no_others(models):
         | {"start_rad": [0.0] * 5}
     )
     assert robot.indexed == {"b3"}
+
+
+def test_a_programs_tcp_is_stated_in_the_frame_that_carries_the_tool(models, tmp_path):
+    """As a controller needs it, whose tool data are relative to the flange, not to the last joint."""
+    T_tip = np.eye(4)
+    T_tip[:3, :3], T_tip[:3, 3] = Rotation.from_euler("XYZ", [0.2, 0.7, -0.1]).as_matrix(), [0.01, -0.02, 0.3]
+    tip = '<site name="tcp" pos="0.01 -0.02 0.3" euler="0.2 0.7 -0.1"/>'
+    wire = f'<geom name="wire" type="capsule" fromto="0 0 0 0 0 .2" size=".01"/>{tip}'
+    (tmp_path / "torch.xml").write_text(model_of(wire))
+    (tmp_path / "arm.xml").write_text(model_of(ARM.format('<site name="tcp" pos=".35 0 0" euler=".1 .2 .3"/>')))
+    job = {
+        "robot": {"model": str(tmp_path / "arm.xml")},
+        "tool": {"model": str(tmp_path / "torch.xml"), "parent": "robot.tcp"},
+        "workpiece": {"cloud": "none", "path": "path.csv"},
+        "start_rad": [0.0] * 3,
+    }
+    stated = planned_tcp(load_config(job), robot_of(job))
+    assert stated.frame == "tcp, which carries the tool"
+    np.testing.assert_allclose(stated.T_frame_tcp, T_tip, atol=1e-9)

@@ -138,7 +138,9 @@ def test_an_override_comes_before_the_file_and_the_file_before_its_base(tmp_path
 
 def test_the_table_says_where_the_part_stands(pipe):
     plan = plan_of(pipe / "job.yaml")
-    assert plan.facts()["workpiece"].startswith("origin at (0.75, 0, 0.7) m, turned by 12.8 deg; extent x 0.7")
+    assert plan.facts()["workpiece"].startswith(
+        "origin at (0.75, 0, 0.7) m, turned by 12.8 deg about (-0.045, 0.894, 0.446); extent x 0.7"
+    )
     text = place_of(plan.workpiece, np.eye(4))
     low, high = plan.workpiece.cloud.min(axis=0), plan.workpiece.cloud.max(axis=0)
     assert text.startswith("at the world's origin, not turned; extent x ")

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
 from htcp_jax.model import mesh_points, surface
-from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh
+from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh, denser_spacing
 from htcp_jax.model.surface import area, longest_edge_first, pieces
 
 MESHES = {
@@ -136,3 +136,14 @@ def test_pieces_are_the_mesh_and_none_is_long(shape):
     cut = pieces(triangles, 0.02, "mesh")
     edges = np.linalg.norm(cut - np.roll(cut, 1, axis=1), axis=2)
     assert edges.max() <= 0.02 and area(cut).sum() == pytest.approx(area(triangles).sum(), rel=1e-9)
+
+
+def test_a_suggested_spacing_has_one_digit_and_a_covering_radius_that_leaves_what_is_lacking():
+    draw = np.random.default_rng(3)
+    for radius, share in draw.uniform((1e-4, 0), (0.01, 1.1), (200, 2)):
+        spacing = denser_spacing(radius, share * radius)
+        if spacing is None:
+            assert 1.8 * radius * (1 - share) < 2e-4
+        else:
+            assert spacing / 2 < radius * (1 - share) and float(f"{spacing:.0e}") == pytest.approx(spacing)
+    assert denser_spacing(0.00464, 0.00277) == 0.003 and denser_spacing(0.0, -1.0) is None

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -24,6 +25,8 @@ from htcp_jax.runs.plan_folder import SUMMARY, TRAJECTORY
 from htcp_jax.status import Kind
 from htcp_jax.system.output_files import write_json
 from htcp_jax.trajectory import FORMATS, limits_overrides
+from htcp_jax.trajectory.deviation import deviations, worst_deviation
+from htcp_jax.trajectory.file_motion import file_motion
 from htcp_jax.trajectory.formats import as_jbi
 from htcp_jax.trajectory.limits import joint_limits
 from htcp_jax.trajectory.plan_program import program_of
@@ -557,6 +560,23 @@ def test_a_file_too_far_from_the_path_is_refused_with_a_number_of_points_that_do
     record = json.loads(capsys.readouterr().out)
     assert rows_of(here / "weld.yaml") == record["configurations"] <= int(found[2])
     assert max(each["path_mm"] for each in record["deviations"].values()) <= 1
+
+
+def test_no_more_rows_are_written_than_the_tolerance_requires_if_the_fewest_are_requested(plans, here, capsys):
+    name = ["--format", "ros", "--out", "weld.yaml", "--json"]
+    assert run(plans, *name, "--max-points", "fewest") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert max(each["path_mm"] for each in record["deviations"].values()) <= record["path_tolerance_mm"]
+    made = program_of(open_plans(plans / "good"), 0.02)
+    assert rows_of(here / "weld.yaml") == record["configurations"] < len(made.timed("ros").x)
+    tolerance_m = 1e-5
+    job = made.job.model_copy(update={"settings": replace(made.job.settings, path_tolerance_m=tolerance_m)})
+    fewest = file_motion(made.robot, made.program, job, "csv", max_points="fewest")
+    fewer = file_motion(made.robot, made.program, job, "csv", max_points=len(fewest.timed.x) - 1)
+    least, most = (worst_deviation(deviations(made.robot, made.program, file)).path_m for file in (fewest, fewer))
+    assert least <= tolerance_m < most
+    assert run(plans, *name, "--max-points", "few") == 2
+    assert "--max-points is 'few'; valid: a whole number, at least 2, or fewest" in capsys.readouterr().err
 
 
 def test_a_deviation_off_the_path_is_a_warning_if_the_user_chose_the_number_of_points(plans, here, capsys):

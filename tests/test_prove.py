@@ -13,8 +13,9 @@ import pytest
 import htcp_jax
 from htcp_jax.clearance import Scene
 from htcp_jax.errors import InputError
+from htcp_jax.motion.motion_check import clearance_along
 from htcp_jax.proving import JointCurves, corners, prove_curves, scene_of, straight
-from htcp_jax.proving.prove import prove_within
+from htcp_jax.proving.prove import prove_within, tighten
 from htcp_jax.status import SegmentStatus, UndecidedCause
 
 VALID, IN_COLLISION, UNDECIDED = SegmentStatus.VALID, SegmentStatus.IN_COLLISION, SegmentStatus.UNDECIDED
@@ -188,3 +189,28 @@ def test_shapes_of_a_cell_in_millimetres_cause_a_warning(job, tmp_path):
 
 def test_a_job_without_walls_needs_no_path(job):
     assert not scene_of(job | {"workpiece": {"cloud": "none"}}).has_part
+
+
+def test_the_bound_of_a_long_path_is_raised_to_its_clearance(problem):
+    """An interval is halved a few times only to raise its bound: 2 m past a ball, 2 mm away from it."""
+    curves = straight(past_the_ball(-0.002))
+    once = prove_curves(problem, curves, kept=0.999)
+    assert once.proven and once.guaranteed_m < 0.0015
+    raised = tighten(problem, curves, prove_curves(problem, curves))
+    assert 0.97 * 0.002 <= raised.guaranteed_m <= 0.002
+    back = clearance_along(problem, past_the_ball(-0.002))
+    assert 0.97 * 0.002 <= back.min() <= 0.002
+
+
+def test_parts_of_a_curve_are_the_same_curve():
+    draw = np.random.default_rng(4)
+    coefficients, span = draw.normal(size=(3, 6, 2)), np.tile([0.2, 0.7], (3, 1))
+    curves = JointCurves(coefficients, draw.uniform(size=(3, 2)), np.arange(3), span, np.ones(3, bool))
+    begin, end = np.array([0.0, 0.3]), np.array([0.25, 0.9])
+    parts, s = curves.between(1, begin, end), draw.uniform(size=(2, 1))
+    x = (parts.coefficients * s[:, :, None] ** np.arange(6)[:, None]).sum(axis=1)
+    whole = begin[:, None] + s * (end - begin)[:, None]
+    expected = (coefficients[1] * whole[:, :, None] ** np.arange(6)[:, None]).sum(axis=1)
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(parts.span, [[0.2, 0.325], [0.35, 0.65]], atol=1e-15)
+    assert parts.segment.tolist() == [0, 1] and (parts.off == curves.off[1]).all()

@@ -19,7 +19,10 @@ from htcp_jax.model import PathFrames, Task, Workpiece, tool_angles_at
 from htcp_jax.model.goals import task_of
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.model.rows_of_spec import PlacedPath, angles_of
-from htcp_jax.spec import ToolAxisRow
+from htcp_jax.motion import Plans
+from htcp_jax.runs.written_run import tables
+from htcp_jax.spec import TOOL_ANGLES, ToolAxisRow
+from htcp_jax.status import Status
 from htcp_jax.validation.records import data_of
 from htcp_jax.validation.task_check import part_between
 from htcp_jax.validation.tool_angle_check import path_axes
@@ -250,6 +253,37 @@ def test_a_plans_angles_are_those_of_the_definition_at_each_target_of_the_path(t
     from_plate = 45 - found["normal"][-4:, 0]
     np.testing.assert_allclose(found["plate_2"][-4:, 0], (from_plate + 180) % 360 - 180)
     assert np.isnan(found["normal"][:-4]).all()
+
+
+def test_a_sweeps_table_has_the_angles_at_each_target_of_each_scenarios_own_path(tmp_path):
+    """Also from plates, with paths of two directions and lengths, and with a longer tool; empty off the path."""
+    given = {"along.csv": ("t:0,1,0", 4), "across.csv": ("t:1,0,0", 3)}
+    for name, (tangent, count) in given.items():
+        file = line(tmp_path, name, "p:0,0,1,0.8,0,-0.6" if "along" in name else "p:0,0,1,0,1,0", tangent)
+        file.write_text("".join(file.read_text().splitlines(keepends=True)[: 1 + count]))
+    row = {"tool_axis": "tcp.z", "work_angle_deg": [40, 50], "work_angle_from": "plate_1"}
+    grid = [{"workpiece.path": [str(tmp_path / name) for name in given]}, {"robot.tool_extension_m": [0.0, 0.02]}]
+    batch = load_sweep({"grid": grid}, {"workpiece": {"cloud": "none"}, "task": [ON_PATH, row]}).batch()
+    scenarios = batch.scenarios
+    plans = Plans.empty(np.asarray(scenarios.x_start), np.asarray(scenarios.targets), np.asarray(scenarios.count))
+    x = made_once.configurations_near(made_once.START, plans.exists.size, 0.3).reshape(*plans.exists.shape, -1)
+    there = plans.exists & (np.arange(plans.exists.shape[1]) % 5 != 3)  # some targets are not tracked
+    plans.x[there], plans.status[there] = x[there], Status.TRACKED
+    rows = tables(batch, "beam", range(4), plans)["targets"]
+    found = np.stack([rows[name].to_numpy() for name in TOOL_ANGLES], axis=1)
+    s, t = rows["scenario"].to_numpy(), rows["target"].to_numpy()
+    first = np.asarray(scenarios.on_path)[s]
+    assert (np.isfinite(found).all(axis=1) == there[s, t] & (t >= first)).all() and there[s, t][t >= first].sum() == 10
+    normals = {"along.csv": ((0, 0, 1), (0.8, 0, -0.6), (0, 1, 0)), "across.csv": ((0, 0, 1), (0, 1, 0), (1, 0, 0))}
+    for k in np.flatnonzero(np.isfinite(found[:, 0])):
+        one, two, tangent = np.array(normals["along.csv" if s[k] < 2 else "across.csv"], float)
+        tool = np.asarray(tcp_pose(batch.robot, jnp.asarray(plans.x[s[k], t[k]])))[:3, :3]
+        surface = two - (two @ one) * one  # along plate 1, away from plate 2
+        from_plate = np.arctan2(-tool[:, 2] @ one, -tool[:, 2] @ surface / np.linalg.norm(surface))
+        np.testing.assert_allclose((found[k, 0] - np.rad2deg(from_plate) + 180) % 360 - 180, 0, atol=1e-9)
+        n = (one + two) / np.linalg.norm(one + two)
+        travel_and_spin = defined_angles(tool, np.stack([tangent, np.cross(n, tangent), n], axis=1))[1:]
+        np.testing.assert_allclose(np.deg2rad(found[k, 1:]), travel_and_spin, atol=1e-9)
 
 
 def test_a_picture_shows_limited_angles_with_their_ranges():

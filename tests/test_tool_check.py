@@ -1,6 +1,7 @@
 """`htcp tool JOB`: the tool alone at each target; compared with distances in NumPy and with a slot of known width."""
 
 import json
+import re
 from operator import itemgetter
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 import toy
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from htcp_jax.cli.main import main
@@ -100,6 +102,24 @@ def test_the_command_counts_the_targets_and_its_exit_code_is_3_if_one_is_not_cle
     assert main(["tool", "job.yaml", "--set", "margin_m=0.088", "--json"]) == 3
     (seam,) = json.loads(capsys.readouterr().out)["seams"]
     assert [each["clear"] for each in seam["lengths"]] == sorted(each["clear"] for each in seam["lengths"])
+
+
+def test_a_clearance_that_coarse_points_on_the_mesh_take_away_is_said_with_the_spacing_that_returns_it(job, capsys):
+    """A plate 88 mm above the tool: at the default spacing more than 2 mm of these are subtracted."""
+    plate = trimesh.creation.box(
+        (0.5, 0.5, 0.01), trimesh.transformations.translation_matrix((0.61, 0, toy.SHELF_M + 0.005))
+    )
+    plate.export("plate.stl")
+    words = ["tool", "job.yaml", "--set", "workpiece.cloud=plate.stl", "--set", "workpiece.unit=m"]
+    assert main([*words, "--json"]) == 0
+    (seam,) = json.loads(capsys.readouterr().out)["seams"]
+    clearance = 1e-3 * min(seam["lengths"][0]["clearance_mm"])
+    words += ["--set", f"margin_m={clearance + 1e-3:.4f}"]
+    assert main(words) == 3
+    said = capsys.readouterr().out
+    assert "is subtracted from every clearance to the part" in said
+    _, change = re.search(r"try first +--set (workpiece.mesh_spacing_m)=([0-9.]+)", said).groups()
+    assert main([*words, "--set", f"workpiece.mesh_spacing_m={change}"]) == 0
 
 
 @pytest.mark.parametrize(

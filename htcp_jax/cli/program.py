@@ -4,7 +4,7 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import typer
@@ -81,9 +81,11 @@ Limits = Annotated[
     ),
 ]
 MaxPoints = Annotated[
-    int | None,
+    str | None,
     typer.Option(
-        metavar="N", min=2, help="Maximum number of configurations in the file; they are placed where needed."
+        metavar="N",
+        help="Maximum number of configurations in the file, which are placed where needed; or fewest: no more than "
+        "the path's tolerance requires.",
     ),
 ]
 AllowDeviation = Annotated[
@@ -163,6 +165,7 @@ def program(
         raise InputError("--max-points chooses the times of the configurations; omit --step-ms")
     if feed is not None:
         feed_rates.feed_of(feed)  # check it before files are opened
+    most = None if max_points is None else _number_of_points(max_points)
     plans, step_s = open_plans(run), _step_seconds(step_ms)
     _note_feeds(feed, plans.config)
     in_file = _limits_in_file(limits, plans.config)
@@ -174,7 +177,7 @@ def program(
             check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
         _print_note(in_file)
         show("choosing the file's configurations")
-        file, is_chosen = made.in_file(format, step_s, max_points), step_ms is not None or max_points is not None
+        file, is_chosen = made.in_file(format, step_s, most), step_ms is not None or max_points is not None
         show(f"measuring the deviation of {len(file.timed.x):,} configurations")
         deviation = deviations(made.robot, made.program, file)
         files = made.files(format, out.stem, file)
@@ -188,7 +191,7 @@ def program(
         what = f"the arm stops within a seam ({stops} stops), and the outputs of program.process stay on"
         warnings.warn(f"{what}: {why}", stacklevel=1)
     torque, found = made.peak_torque, program_figures(made.program, made.limits)
-    facts = program_facts.near_part(made.job)
+    facts = program_facts.near_part(made.job) | program_facts.way_back(made.job, made.program)
     facts["torque"] = program_facts.torque_text(torque)
     paths = write_files(out, files)
     note_limits(format, len(file.timed.x), len(files) - 1)
@@ -312,6 +315,14 @@ def _check_motion(run: Path, made: PlanProgram, scenario: int, file: FileMotion 
         found = check_timed(run, timed, made.method, scenario, progress=progress)
     lengths = {"clearance_min_mm": 1e3 * found.clearance_min_m, "off_max_mm": 1e3 * found.off_max_m}
     return {"configurations": len(timed.x), "refuted": found.refuted, **lengths}
+
+
+def _number_of_points(text: str) -> int | Literal["fewest"]:
+    if text == "fewest":
+        return "fewest"
+    if not text.isdecimal() or int(text) < 2:
+        raise InputError(f"--max-points is {text!r}; valid: a whole number, at least 2, or fewest")
+    return int(text)
 
 
 def _step_seconds(step_ms: float | None) -> float | None:

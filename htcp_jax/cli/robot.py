@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from htcp_jax.clearance.obstacles import make_self_collision
@@ -255,6 +256,7 @@ def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[
         "TCP": arm.tip.name,
         **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
         "joints": made.joint_names,
+        **_limits(made),
         **({"followers": follower_text(arm)} if arm.followers else {}),
         "frozen": arm.frozen,
         "fixed": fixed_text(arm),
@@ -262,3 +264,21 @@ def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[
         "excluded": arm.excluded,
         **({"omitted": arm.omitted} if arm.omitted else {}),
     }
+
+
+def _limits(made: Robot) -> dict[str, str]:
+    """Return text about the joints' ranges and full speeds; no speeds if the model states none."""
+    slides = made.sliding
+    size = np.where(slides, 1e3, np.rad2deg(1.0))
+    ranges = [f"{low:.4g} to {high:.4g}" for low, high in zip(size * made.lower, size * made.upper, strict=True)]
+    speeds = [f"{each:.4g}" for each in size * np.asarray(made.speed)]
+    texts = {"ranges": _with_units(ranges, slides, "")}
+    return texts | ({"full speeds": _with_units(speeds, slides, "/s")} if np.isfinite(made.speed).any() else {})
+
+
+def _with_units(values: Sequence[str], slides: Sequence[bool], per: str) -> str:
+    """Join values of joints, with one unit at the end if they have the same."""
+    units = [f" {'mm' if slide else 'deg'}{per}" for slide in slides]
+    if len(set(units)) == 1:
+        return ", ".join(values) + units[0]
+    return ", ".join(map("".join, zip(values, units, strict=True)))

@@ -10,8 +10,10 @@ import numpy as np
 from htcp_jax.cli.output import print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep_or_job
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.reachability import ToolClearance, tool_clearances
 from htcp_jax.report import reach_study
+from htcp_jax.runs import failure_texts
 
 LONGER_MM = 0, 3, 6, 10, 15, 20  # additional lengths of the wire that are tried
 CLEAR, NOT_CLEAR = 0, 3  # exit codes
@@ -31,7 +33,7 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
     spec = load_sweep_or_job(file, None, overrides)
     if not spec.alone:
         raise InputError(f"{file} is a sweep; htcp tool checks one job")
-    found = []
+    found, covers = [], []
     with progress_bar("seams", first="building the part") as progress:
         batch = spec.batch(None)
         names = reach_study.seam_names(batch) or [spec.name]
@@ -48,15 +50,16 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
 
             own = cell.robot, cell.workpiece, scenario, cell.settings, cell.task
             found.append(tool_clearances(*own, longer_m, show))
+            covers.append(cell.workpiece.covering_radius_m)
     if as_json:
         print_json({"job": spec.name, "seams": [_record(*each) for each in zip(names, found, strict=True)]})
     else:
-        for name, each in zip(names, found, strict=True):
-            print_facts(name, _facts(each))
+        for name, each, cover_m in zip(names, found, covers, strict=True):
+            print_facts(name, _facts(each, cover_m))
     return CLEAR if all(each.clear[0].all() for each in found) else NOT_CLEAR
 
 
-def _facts(found: ToolClearance) -> dict[str, str]:
+def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
     clear = found.clear[0]
     facts = {"tool": f"clears the part at {clear.sum()} of {len(clear)} targets"}
     if not clear.all():
@@ -71,6 +74,10 @@ def _facts(found: ToolClearance) -> dict[str, str]:
         facts["minimum clearance"] = least
     else:
         facts["minimum clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
+    lack_m = float(found.margin_m[k] - found.clearance_m[0, k])
+    if not clear.all() and (spacing := denser_spacing(covering_radius_m, lack_m)):
+        facts |= failure_texts.coarse_mesh(covering_radius_m, lack_m)
+        facts["try first"] = f"--set {surface.KEY}={spacing:g}, which covers the part's mesh more densely"
     facts["longer wire"] = _longer_text(found)
     if found.ignored:
         rows = ", ".join(f"task.{number}" for number in found.ignored)

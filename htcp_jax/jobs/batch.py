@@ -56,6 +56,7 @@ class Batch(NamedTuple):
     cell: Int[np.ndarray, "S"]  # index of each scenario's inputs in `cells`
     scenarios: Scenario  # all scenarios, with a leading axis S in each array
     points: tuple[ScenarioPoint, ...]  # number and configuration of each scenario
+    workpieces: tuple[Workpiece, ...]  # workpiece of each scenario; those in `cells` may have another path
 
     @property
     def robot(self) -> Robot:
@@ -116,7 +117,8 @@ def batch_of(
     ]
     order = np.argsort(np.concatenate([np.array(rows) for rows in groups.values()]))
     scenarios = jax.tree.map(lambda leaf: leaf[order], scenario_functions.concatenate(parts))
-    return Batch(tuple(builder.cells.values()), np.array([own.cell for own in shared], int), scenarios, tuple(points))
+    cell, parts = np.array([own.cell for own in shared], int), tuple(own.inputs.workpiece for own in shared)
+    return Batch(tuple(builder.cells.values()), cell, scenarios, tuple(points), parts)
 
 
 def _scenarios(

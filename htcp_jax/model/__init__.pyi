@@ -5,7 +5,7 @@ from .fillet_plates import with_plates
 from .fixture import Fixture
 from .goals import RowError, check_constant_angles, follower_position, task_of, tool_angles_at, with_goals
 from .inverse_kinematics import damped_step, reanchor, within_limits
-from .mesh_points import NearbyBody, PointCover, cover_mesh, thinnest_nearby
+from .mesh_points import NearbyBody, PointCover, cover_mesh, denser_spacing, thinnest_nearby
 from .path_frames import ONE_POINT_M, PathFrames
 from .robot import Robot
 from .rotations import axis_angle_matrix, quaternion_matrix, sine_error
@@ -59,6 +59,7 @@ __all__ = [
     "coordinate_limits",
     "cover_mesh",
     "damped_step",
+    "denser_spacing",
     "duct",
     "feature_at",
     "fixture",

@@ -38,6 +38,7 @@ FEW, MANY = 20_000, 300_000  # default number of points: about FEW for thick bod
 THINNED, EXCESS = 80_000, 3  # a cover for which THINNED points suffice is thinned out if it has EXCESS times as many
 SHARE = 4  # ratio of a body's radius to the default covering radius
 FINEST_M = 0.002  # minimum of the default covering radius
+DENSEST_M = 0.0002  # minimum of the spacing that is suggested
 ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
 
 
@@ -53,6 +54,23 @@ class NearbyBody(NamedTuple):
 
     label: str  # for messages
     radius_m: float
+
+
+def denser_spacing(radius_m: float, lack_m: float) -> float | None:
+    """Return a spacing of points at which the subtracted covering radius may explain a lack of clearance [m].
+
+    The new covering radius is at most 0.9 (`radius_m` - `lack_m`), with a spacing of one significant digit. None if the
+    lack is larger than the present radius, or no spacing of at least `DENSEST_M` suffices.
+
+    Args:
+        radius_m: The present covering radius [m].
+        lack_m: The required clearance minus the measured one [m].
+    """
+    spacing = 1.8 * (radius_m - max(lack_m, 0.0))
+    if spacing < DENSEST_M:
+        return None
+    digit = 10.0 ** np.floor(np.log10(spacing))
+    return float(np.round(np.floor(spacing / digit + 1e-9) * digit, 6))
 
 
 def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Collection[int] = ()) -> NearbyBody | None:

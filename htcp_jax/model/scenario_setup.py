@@ -6,6 +6,7 @@ from typing import Literal
 
 import jax
 import numpy as np
+import scipy
 
 from htcp_jax.errors import InputError
 from htcp_jax.model.kinematics import max_reach, tcp_position
@@ -224,17 +225,28 @@ def place_of(workpiece: Workpiece, T_world_workpiece: Float[np.ndarray, "4 4"], 
         link: Name of the link that carries it; None for the world.
     """
     T = np.asarray(T_world_workpiece)
-    angle = np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1.0, 1.0)))
     at = ", ".join(f"{value:.4g}" for value in np.round(T[:3, 3], 6) + 0.0)
     place = f"origin at ({at}) m" if T[:3, 3].any() else f"at {'the world' if link is None else link}'s origin"
-    turned = f"turned by {angle:.3g} deg" if (T[:3, :3] != np.eye(3)).any() else "not turned"
     points = workpiece.shown @ T[:3, :3].T + T[:3, 3]
     sides = zip("xyz", points.min(axis=0) + 0.0, points.max(axis=0) + 0.0, strict=True)
     extent = ", ".join(f"{axis} {low:.3f} to {high:.3f}" for axis, low, high in sides)
     origin = ", ".join(f"{value:.12g}" for value in np.asarray(workpiece.origin))
     of_files = f"; its origin is ({origin}) m of its files" if np.any(workpiece.origin) else ""
     frame = "" if link is None else f", in the frame of {link}"
-    return f"{place}, {turned}; extent {extent} m{frame}{of_files}"
+    return f"{place}, {_turn(T[:3, :3])}; extent {extent} m{frame}{of_files}"
+
+
+def _turn(R: Float[np.ndarray, "3 3"]) -> str:
+    """Return text about a rotation: its angle and axis."""
+    if (R == np.eye(3)).all():
+        return "not turned"
+    turn = scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec()
+    angle = np.linalg.norm(turn)
+    axis = np.round(turn / max(angle, 1e-12), 3) + 0.0
+    k = int(np.abs(axis).argmax())
+    if np.abs(axis[k]) == 1:
+        return f"turned by {np.rad2deg(angle) * axis[k]:.3g} deg about {'xyz'[k]}"
+    return f"turned by {np.rad2deg(angle):.3g} deg about ({', '.join(f'{each:g}' for each in axis)})"
 
 
 def with_own_tool(robot: Robot, scenario: Scenario) -> tuple[Robot, Scenario]:

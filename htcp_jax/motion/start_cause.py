@@ -56,7 +56,9 @@ class StartCause(NamedTuple):
     description: str
     body: str | None = None  # name of the capsule that overlaps; None if unknown
     other: str | None = None  # name of the obstacle
-    depth_m: float = float("nan")  # depth of the overlap; the least depth if several configurations were measured
+    depth_m: float = float(
+        "nan"
+    )  # depth of the overlap, the least one of several; negative: the clearance, the largest
     always: bool = False  # True if the pair overlaps in every configuration
     attempt: Attempt | None = None  # the attempt with the least overlap, if all attempts collide
 
@@ -234,7 +236,8 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         lacks = f"a clearance of at most {mm_text(most_m)}, less than the margin of {mm_text(margin_m)}"
         if most_m >= margin_m:
             lacks = f"less than the margin of {mm_text(margin_m)}, or with the tool's bare tip in a wall"
-        return StartCause(f"in {clear} of {attempts} the arm reached the point without collision, but with {lacks}")
+        text = f"in {clear} of {attempts} the arm reached the point without collision, but with {lacks}"
+        return StartCause(text, depth_m=-most_m)
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
     pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]

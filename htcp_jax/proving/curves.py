@@ -11,6 +11,7 @@ differs from the point by r (B + m A) with r = min(t, s / m) <= 1 / (1 + m). Wit
 goes straight on.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -41,6 +42,23 @@ class JointCurves(NamedTuple):
         chosen = np.isin(self.segment, segments)
         found = JointCurves(*(part[chosen] for part in self))
         return found._replace(segment=np.searchsorted(segments, found.segment))
+
+    def between(self, path: int, begin: Float[np.ndarray, "p"], end: Float[np.ndarray, "p"]) -> "JointCurves":
+        """Return parts of a path, each a segment of its own.
+
+        Args:
+            path: The path's index.
+            begin: Shares of the path at which the parts begin [1].
+            end: Shares at which they end [1].
+        """
+        count, degrees = len(begin), range(self.coefficients.shape[1])
+        # (begin + size s)^k = sum_j binom(k, j) begin^(k - j) size^j s^j
+        change = [[math.comb(k, j) * begin ** max(k - j, 0) * (end - begin) ** j for k in degrees] for j in degrees]
+        coefficients = np.einsum("jkp,kn->pjn", np.array(change), self.coefficients[path])
+        first, last = self.span[path]
+        span = first + (last - first) * np.stack([begin, end], axis=1)
+        off, is_certain = np.tile(self.off[path], (count, 1)), np.full(count, self.is_certain[path])
+        return JointCurves(coefficients, off, np.arange(count), span, is_certain)
 
     def within(self, off: float | Float[np.ndarray, "N"]) -> "JointCurves":
         """Return the paths with a larger distance of each joint, as of a servo's lag [rad or m]."""

@@ -22,7 +22,7 @@ from htcp_jax.clearance import Obstacle
 from htcp_jax.clearance.proof import bisection
 from htcp_jax.device import devices, tables
 from htcp_jax.errors import InputError
-from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.motion import CollisionChecker, Problem, motion_check
 from htcp_jax.proving.curves import JointCurves, straight
 from htcp_jax.proving.scene import Cell, scene_of
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -188,7 +188,30 @@ def tighten(
     clearance, queries = found.clearance_m.copy(), found.queries.copy()
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
+    for _ in range(motion_check.RAISED):
+        k = int(clearance.argmin())
+        more = _raised(problem, curves.of_segments(np.array([k])), margin_m)
+        if not more > motion_check.GAIN * clearance[k]:
+            break
+        clearance[k] = more
     return replace(found, clearance_m=clearance, queries=queries)
+
+
+def _raised(problem: Problem, curves: JointCurves, margin_m: float) -> float:
+    """Return the clearance that proofs of parts of one segment's paths guarantee [m]."""
+    own = curves._replace(segment=np.arange(len(curves.segment)))
+    clearance = prove_curves(problem, own, margin_m=margin_m, kept=TIGHT).clearance_m
+    for _ in range(motion_check.RAISED):
+        j = int(clearance.argmin())
+
+        def parts(begin, end, j=j):
+            return prove_curves(problem, own.between(j, begin, end), margin_m=margin_m, kept=TIGHT).clearance_m
+
+        more = motion_check.raised(parts, clearance[j])
+        if not more > motion_check.GAIN * clearance[j]:
+            break
+        clearance[j] = more
+    return clearance.min()
 
 
 def prove_curves(

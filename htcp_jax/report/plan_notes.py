@@ -12,7 +12,7 @@ from htcp_jax.model import Robot, Workpiece
 from htcp_jax.model import robot as robots
 from htcp_jax.report import program_facts
 from htcp_jax.runs import plan_folder
-from htcp_jax.spec import PlanConfig
+from htcp_jax.spec import PlanConfig, label_of
 from htcp_jax.trajectory import PlanProgram
 
 MOST_PAIRS = 30  # more pairs are counted, not named
@@ -30,7 +30,8 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
     """
     settings, between = job.settings, "and between them" if job.margin_on == "segments" else "only"
     seams = {f"margin on {each.name}": f"{1e3 * each.margin_m:g} mm" for each in job.workpiece.seams if each.margin_m}
-    tool, arm = job.robot.tool, job.tree or job.robot.file or "the built-in GP50"
+    tool, source = job.robot.tool, job.tree or job.robot.file
+    arm = "the built-in GP50" if source is None else label_of(source).name
     tip = "as in the model"
     if job.tool.model is not None:
         tip = f"mounted by the job: {job.tool.model}"
@@ -46,7 +47,7 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
         "tolerance": f"TCP {1e3 * settings.tolerance_m:g} mm at a target, {1e3 * settings.tube_m:g} mm between "
         f"targets; angles {np.degrees(settings.tolerance_rad):.3g} deg",
         "task": "; ".join(map(_row, job.task)) or "the TCP follows the path",
-        "arm": f"{robot.name}, from {getattr(arm, 'name', arm)}",
+        "arm": f"{robot.name}, from {arm}",
         "tool": tip,
         **{name: _angles(robot, x) for name, x in begin.items() if x},
         "workpiece": place,

@@ -147,7 +147,12 @@ def _timing(plan: ReportedPlan, made: PlanProgram, found: ProgramFigures, names:
 
 def _program_blocks(made: PlanProgram, found: ProgramFigures, timed: dict[str, str]) -> list[Block]:
     torque = program_facts.torque_text(made.peak_torque)
-    facts = {**timed, **program_facts.near_part(made.job), "torque": torque}
+    facts = {
+        **timed,
+        **program_facts.near_part(made.job),
+        **program_facts.way_back(made.job, made.program),
+        "torque": torque,
+    }
     return [fact_table("program", facts), plan_tables.format_table(made)]
 
 

@@ -151,7 +151,7 @@ def format_table(made: PlanProgram) -> Table:
                 made.files(name, "plan", made.in_file(name))
             rows.append((name, step_ms, len(timed.x), f"htcp program --format {name}"))
         except InputError as error:
-            rows.append((name, step_ms, None, f"needs more: {error}"))
+            rows.append((name, step_ms, None, f"not from this job: {error}"))
     shown = (*columns.of("format", "interval_ms", "configurations", "written_by"),)
     return Table("formats", shown, tuple(rows))
 

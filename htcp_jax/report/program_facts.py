@@ -8,7 +8,8 @@ from jaxtyping import Float
 from htcp_jax.report.document import Table
 from htcp_jax.runs import columns
 from htcp_jax.spec import PlanConfig
-from htcp_jax.trajectory import PeakTorque, ProgramFigures
+from htcp_jax.status import Kind
+from htcp_jax.trajectory import PeakTorque, Program, ProgramFigures
 
 STOP = "stop"  # reason for a feed drop to 0: the arm stops
 
@@ -68,3 +69,10 @@ def near_part(job: PlanConfig) -> dict[str, str]:
         return {}
     speed = f"at most {100 * program.near_part_speed:g} % of full joint speed"
     return {"near the part": f"{speed} within {1e3 * program.near_part_m:g} mm of it, before and after the path"}
+
+
+def way_back(job: PlanConfig, program: Program) -> dict[str, str]:
+    """Return a line if the program goes back through the configurations of the path; empty otherwise."""
+    if len(job.workpiece.seams) > 1 or Kind.RETRACT not in program.motion.kind:
+        return {}
+    return {"way back": "the same configurations in reverse, over the path again; --one-way leaves it out"}

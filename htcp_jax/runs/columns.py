@@ -25,9 +25,9 @@ WRITTEN_BY = b"htcp_jax"  # key of a file's metadata; its value is JSON with run
 NOTHING, COUNT = "-", ",d"  # text of an unknown value; format of counts
 FILE_UNITS = {  # in Parquet files, by the end of a column's name; longer ends come first
     "_rad_m2": "rad/m2", "_rad2": "rad2", "_m_s": "m/s", "_m_rad": "m/rad", "_rad": "rad", "_m": "m", "_s": "s",
-    "_share": "1",
+    "_share": "1", "_deg": "deg",
 }  # fmt: skip
-UNITS = {"_mm_s": "mm/s", **FILE_UNITS, "_deg": "deg", "_mm": "mm", "_ms": "ms", "_percent": "%"}
+UNITS = {"_mm_s": "mm/s", **FILE_UNITS, "_mm": "mm", "_ms": "ms", "_percent": "%"}
 STATISTICS = "min", "mean", "median", "max"
 HEADINGS = {  # of quantities, or of single columns
     "at": "scenario:",
@@ -145,6 +145,9 @@ TARGETS = BOTH | {
     "via_shares": "share of the segment at each via point; null for a straight joint path",
     "recovery": "0: none; k: recovery strategy k of the method; the number after the last: planned backwards",
     "manipulability_m_rad": "smallest singular value of the task's Jacobian, see motion.manipulability",
+    "work_angle_deg": "work angle of the tool on the path; null if the task has no row tool_axis",
+    "travel_angle_deg": "travel angle of the tool on the path; null if the task has no row tool_axis",
+    "spin_deg": "spin of the tool on the path; null if the task has no row tool_axis",
     "dead_end_searches": "number of backward searches after a dead end at the target; null without one",
     "dead_end_configurations": "number of configurations sampled, extended or moved after the dead end",
     "dead_end_found": "number of clear configurations found at the target",

@@ -1,10 +1,13 @@
 """Text about a plan that ends early: the reason, the clearance next to the one aimed at, and the next command."""
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from htcp_jax.errors import mm_text
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -63,8 +66,29 @@ def aim(refused: RefusedSegment, job: PlanConfig) -> dict[str, str]:
     }
 
 
+def coarse_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
+    """Return a line if the covering radius of the points on a mesh may be the reason of a lack of clearance; else {}.
+
+    Args:
+        covering_radius_m: The radius, which is subtracted from every clearance; 0 for a part that is no mesh.
+        lack_m: The required clearance minus the measured one.
+    """
+    if denser_spacing(covering_radius_m, lack_m) is None:
+        return {}
+    return {
+        "points on the mesh": f"their covering radius, {mm_text(covering_radius_m)}, is subtracted from every "
+        f"clearance to the part, and {mm_text(lack_m)} are lacking here: denser points may suffice"
+    }
+
+
 def next_step(
-    end: plans.Outcome, refused: RefusedSegment | None, dead_ends: Mapping[int, Tried], job: PlanConfig, given: str
+    end: plans.Outcome,
+    refused: RefusedSegment | None,
+    dead_ends: Mapping[int, Tried],
+    job: PlanConfig,
+    given: str,
+    spacing_m: float | None = None,
+    start_m: float | None = None,
 ) -> dict[str, str]:
     """Return a line with one command to run next, for a plan that ends early; {} if none is known.
 
@@ -74,8 +98,17 @@ def next_step(
         dead_ends: Attempts after dead ends, by target.
         job: The job.
         given: The job as arguments of a command.
+        spacing_m: Spacing of points on the part's mesh at which the plan may succeed; None if no spacing helps.
+        start_m: Largest clearance found at the first target, if it is less than the margin; else None.
     """
+    if spacing_m is not None:
+        change = f"--set {surface.KEY}={spacing_m:g}"
+        return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   covers the part's mesh more densely"}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
+    if end.status == Status.NO_START and start_m is not None:
+        digit = 10.0 ** (math.floor(math.log10(start_m)) - 1)
+        change = f"--set margin_m={math.floor(start_m / digit) * digit:.2g}"
+        return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   requires what was found there"}
     if end.status == Status.NO_START:
         return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
     if end.status not in MEASURED:

@@ -19,6 +19,7 @@ from htcp_jax.model import Robot
 from htcp_jax.motion import DeadEnds, Plans, Tried, ViaPoints, motion, start_cause
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.runs import parameters
+from htcp_jax.spec import TOOL_ANGLES
 from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ def target_table(
     joints: Sequence[str],
     manipulability: Float[np.ndarray, "S T"] | None = None,
     followers: Mapping[str, Float[np.ndarray, "S T"]] = MappingProxyType({}),
+    angles: Float[np.ndarray, "S T 3"] | None = None,
 ) -> pa.Table:
     """Return the table of targets for one method, with one row per scenario and target.
 
@@ -83,6 +85,7 @@ def target_table(
         joints: Names of the columns of x, see `joint_columns`.
         manipulability: Manipulability at each target [m/rad]; None if unknown.
         followers: Columns of joints that follow others, see `follower_columns`.
+        angles: Work angle, travel angle and spin of the tool at each target [degrees]; None if unknown.
     """
     s, t = np.nonzero(plans.exists)
     status, path_clear = plans.status[s, t], plans.path_clear[s, t]
@@ -111,8 +114,10 @@ def target_table(
     columns |= {name: _doubles(plans.tcp[s, t, k]) for k, name in enumerate(_axes("tcp"))}
     columns |= {name: _doubles(plans.target[s, t, k]) for k, name in enumerate(_axes("target"))}
     columns[SHARES] = _via_point_column(plans.via_points, s, t, plans.via_points.share[:, None])
-    unknown = np.full(len(s), np.nan)
-    columns[MANIPULABILITY] = _doubles(unknown if manipulability is None else manipulability[s, t])
+    unknown = np.full(plans.exists.shape, np.nan)
+    columns[MANIPULABILITY] = _doubles((unknown if manipulability is None else manipulability)[s, t])
+    leans = (unknown,) * len(TOOL_ANGLES) if angles is None else np.moveaxis(angles, 2, 0)
+    columns |= {name: _doubles(values[s, t]) for name, values in zip(TOOL_ANGLES, leans, strict=True)}
     ends, tried = plans.dead_ends, np.full((*plans.exists.shape, len(TRIED)), -1)
     tried[ends.scenario, ends.target] = np.stack(ends[2:], axis=-1)
     *numbers, reasons = tried[s, t].T
@@ -168,7 +173,7 @@ def with_new_columns(rows: pa.Table, schema: pa.Schema) -> pa.Table:
 
     If the shares of via points are null, the tool stays at the previous target during the via points.
     """
-    later = (MANIPULABILITY, SHARES, *TRIED, *STEPS, *CAUSE)
+    later = (MANIPULABILITY, SHARES, *TOOL_ANGLES, *TRIED, *STEPS, *CAUSE)
     new = [name for name in later if name in schema.names and name not in rows.column_names]
     if not new:
         return rows

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from htcp_jax.device import devices
 from htcp_jax.device import tables as device_tables
 from htcp_jax.jobs import Batch
+from htcp_jax.model import tool_angles_at
 from htcp_jax.motion import Execution, Plans, Problem, manipulability, start_cause
 from htcp_jax.planning import Progress
 from htcp_jax.runs import writer
@@ -21,6 +22,7 @@ from htcp_jax.runs.manifest import Span
 from htcp_jax.runs.run_folder import Run
 from htcp_jax.runs.running import FinishedShard
 from htcp_jax.runs.tables import follower_columns, joint_columns, scenario_table, target_table
+from htcp_jax.spec import TOOL_ANGLES, tool_axis_row
 
 
 class SweepProgress(NamedTuple):
@@ -125,7 +127,7 @@ def tables(batch: Batch, method: str, rows: Sequence[int], plans: Plans) -> dict
     numbers = np.array([point.number for point in points])
     measured, followers = _manipulability(batch, rows, plans), _followers(batch, rows, plans)
     return {
-        "targets": target_table(method, numbers, plans, joints, measured, followers),
+        "targets": target_table(method, numbers, plans, joints, measured, followers, _angles(batch, rows, plans)),
         "scenarios": scenario_table(method, points, plans, joints, varied, _causes(batch, rows, plans)),
     }
 
@@ -139,6 +141,20 @@ def _manipulability(batch: Batch, rows: Sequence[int], plans: Plans) -> Float[np
         where = s[here], t[here]
         goals, longer = np.asarray(scenarios.goals)[where], np.asarray(scenarios.tool_extension_m)[where[0]]
         found[where] = manipulability.manipulability(own.robot, own.task, plans.x[where], goals, longer)
+    return found
+
+
+def _angles(batch: Batch, rows: Sequence[int], plans: Plans) -> Float[np.ndarray, "S T 3"]:
+    """Return work angle, travel angle and spin of the tool at each target of a shard's scenarios [degrees].
+
+    NaN before the path, at targets that are not tracked, and for a task without a row with tool angles.
+    """
+    (cell, scenarios), found = scenarios_of(batch, rows), np.full((*plans.status.shape, len(TOOL_ANGLES)), np.nan)
+    for s, row in enumerate(rows):
+        if (spec := tool_axis_row(batch.points[row].config.task)) is not None:
+            own, count = jax.tree.map(lambda leaf, s=s: np.asarray(leaf[s]), scenarios), int(scenarios.count[s])
+            x = plans.x[s, :count]
+            found[s, :count] = tool_angles_at(own, spec, batch.cells[cell[s]].robot, batch.workpieces[row], x)
     return found
 
 

@@ -1,5 +1,7 @@
 """Configurations in a program's file: samples at a time step, the motion's own ones, or at most N of them."""
 
+from typing import Literal
+
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
 from htcp_jax.spec import PlanConfig
@@ -9,6 +11,8 @@ from htcp_jax.trajectory.formats.writers import format_of
 from htcp_jax.trajectory.program import Program
 from htcp_jax.trajectory.timed_motion import STRAIGHT
 
+MaxPoints = int | Literal["fewest"] | None  # "fewest": as few as keep the path's tolerance; None: no limit
+
 
 def file_motion(
     robot: Robot,
@@ -16,7 +20,7 @@ def file_motion(
     job: PlanConfig,
     format: str,
     step_s: float | None = None,
-    max_points: int | None = None,
+    max_points: MaxPoints = None,
 ) -> FileMotion:
     """Return the configurations that a format contains, and how its player joins them.
 
@@ -28,7 +32,8 @@ def file_motion(
         job: The job.
         format: Name of the format in `writers.FORMATS`.
         step_s: Time between samples; None: the format's default, see `writers.ProgramFormat`.
-        max_points: Maximum number of configurations; None: those of the time step.
+        max_points: Maximum number of configurations; None: those of the time step, as with "fewest" if no number of
+            points is found, see `points_needed`.
 
     Raises:
         InputError: If the format does not support the time step, if both a time step and `max_points` are given, or if
@@ -39,6 +44,8 @@ def file_motion(
         raise InputError(f"{format} contains only the configurations of the motion; omit the time step")
     if step_s is not None and max_points is not None:
         raise InputError("--max-points chooses the times of the configurations; omit the time step")
+    if max_points == "fewest":
+        max_points = points_needed(robot, program, job, format)
     if own.step_s is None:
         file = FileMotion(program.at_configurations(), (STRAIGHT,))
         if max_points is None or len(file.timed.x) <= max_points:

@@ -22,14 +22,14 @@ from htcp_jax.model import Robot, joints_between, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import Plans, manipulability, motion
 from htcp_jax.runs import PlanSet
-from htcp_jax.spec import PlanConfig, config_file, feed, strict_model
+from htcp_jax.spec import PlanConfig, config_file, feed, split_name, strict_model
 from htcp_jax.spec import tool as tools
 from htcp_jax.trajectory.arm_flags import arm_flags
 from htcp_jax.trajectory.blends import motion_slack
 from htcp_jax.trajectory.controller_data import ControllerData, PlannedTcp, UserFrame
 from htcp_jax.trajectory.deviation import FileMotion
 from htcp_jax.trajectory.exact_corners import with_exact_corners
-from htcp_jax.trajectory.file_motion import file_motion
+from htcp_jax.trajectory.file_motion import MaxPoints, file_motion
 from htcp_jax.trajectory.formats.parts import ProgramFile
 from htcp_jax.trajectory.formats.writers import FORMATS, format_of, program_files, program_text
 from htcp_jax.trajectory.joint_torques import (
@@ -80,14 +80,14 @@ class PlanProgram(NamedTuple):
         pieces = sum(blend.on_process for blend in self.program.blends)
         return max(0, pieces - int((counts > 1).sum()))
 
-    def text(self, format: str, name: str, step_s: float | None = None, max_points: int | None = None) -> str:
+    def text(self, format: str, name: str, step_s: float | None = None, max_points: MaxPoints = None) -> str:
         """Return the text of the program's file.
 
         Args:
             format: Name of the format in `writers.FORMATS`.
             name: Name of the program.
             step_s: Time between samples; None: the format's default, see `writers.ProgramFormat`.
-            max_points: Maximum number of configurations; None: those of the time step.
+            max_points: Maximum number of configurations, or "fewest", see `file_motion`; None: those of the time step.
 
         Raises:
             InputError: If `in_file`, `program_text` or `controller` raises it.
@@ -111,7 +111,7 @@ class PlanProgram(NamedTuple):
             timed = with_exact_corners(self.robot, timed, self.job.settings.tube_m)
         return program_files(format, timed, self.controller(format, name, timed))
 
-    def timed(self, format: str, step_s: float | None = None, max_points: int | None = None) -> TimedMotion:
+    def timed(self, format: str, step_s: float | None = None, max_points: MaxPoints = None) -> TimedMotion:
         """Return the samples of the motion that a format contains, see `text`.
 
         Raises:
@@ -119,7 +119,7 @@ class PlanProgram(NamedTuple):
         """
         return self._with_axes(format, self.in_file(format, step_s, max_points).timed)
 
-    def in_file(self, format: str, step_s: float | None = None, max_points: int | None = None) -> FileMotion:
+    def in_file(self, format: str, step_s: float | None = None, max_points: MaxPoints = None) -> FileMotion:
         """Return the configurations that a format contains, without joints that follow others, see `file_motion`.
 
         Raises:
@@ -191,7 +191,7 @@ class PlanProgram(NamedTuple):
             speed=np.where(np.isfinite(speed), speed, self.limits.velocity),
             tool=requested.tool,
             tool_name=requested.tool_name,
-            tcp=self._planned_tcp(),
+            tcp=planned_tcp(self.job, self.robot),
             coupled=self._coupled(format),
             user_frame=self._user_frame(timed) if format == "jbi" else None,
             pulses=encoder_scale(self.job, self.robot),
@@ -212,13 +212,6 @@ class PlanProgram(NamedTuple):
         if requested.on == "workpiece":
             T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world
         return UserFrame(requested.number, T_world, flags)
-
-    def _planned_tcp(self) -> PlannedTcp:
-        """Return the TCP relative to the flange if the job mounts a tool, else relative to the last joint's frame."""
-        if (tool := self.job.robot.tool) is None:
-            return PlannedTcp(self.robot.all_joint_names[self.robot.tcp_link], np.asarray(self.robot.T_link_tcp, float))
-        longer = tools.pose((0.0, 0.0, self.job.robot.tool_extension_m), (0.0, 0.0, 0.0))
-        return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
         requested = self.job.program.coupled
@@ -404,3 +397,19 @@ def with_program(job: PlanConfig, overrides: Sequence[str]) -> PlanConfig:
             raise InputError(f"--set {key}: the plan is saved; only keys of {SECTION}* can be changed")
         config_file.put_key(raw, key, value)
     return job.model_copy(update={"program": strict_model.validate_model(raw, PlanConfig, "--set").program})
+
+
+def planned_tcp(job: PlanConfig, robot: Robot) -> PlannedTcp:
+    """Return the TCP relative to the frame that carries the job's tool, else relative to the last joint's frame."""
+    link, T_link_tcp = robot.tcp_link, np.asarray(robot.T_link_tcp, float)
+    if (tool := job.robot.tool) is not None:
+        longer = tools.pose((0.0, 0.0, job.robot.tool_extension_m), (0.0, 0.0, 0.0))
+        return PlannedTcp("the flange", tools.pose(tool.tip_m, tool.tip_rpy_rad) @ longer)
+    if job.tool.model is not None:
+        names = job.tool.parent, split_name(job.tool.parent)[1]
+        carrier = next((frame for frame in robot.frames if frame.name in names and frame.link == link), None)
+        if carrier is not None:
+            T = np.eye(4)
+            T[:3] = np.column_stack([*carrier.columns, carrier.origin_m])
+            return PlannedTcp(f"{carrier.name}, which carries the tool", np.linalg.inv(T) @ T_link_tcp)
+    return PlannedTcp(robot.all_joint_names[link], T_link_tcp)

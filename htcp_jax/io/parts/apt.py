@@ -30,7 +30,7 @@ NO_G_CODE = (
     "APT or CLS, before the postprocessor"
 )
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EDed][-+]?\d+)?")
-BLOCK = re.compile(r"%\s*|(?:[NO]\d+\b|G0?[0-3]\b).*", re.IGNORECASE)
+BLOCK = re.compile(r"%\s*|[NO]\d+\b.*|G\d+\b.*|(?:[A-Z][-+]?(?:\d+\.?\d*|\.\d+)\s*){2,}", re.IGNORECASE)  # of G-code
 OPERATION = re.compile(r"(?:TOOL\s*PATH\s*/\s*([^,]+).*|.*\bOPERATION\s+NAME\s*:\s*(.+))", re.IGNORECASE)
 SYSTEM = re.compile(r"\$\$\s*\*\s*CATIA0", re.IGNORECASE)
 TEXTS = {"INSERT", "PPRINT", "PARTNO", "REMARK", "LETTER", "TITLES"}  # records of text

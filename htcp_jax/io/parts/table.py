@@ -11,6 +11,7 @@ import numpy as np
 
 from htcp_jax.errors import InputError, Note
 from htcp_jax.io.arrays import read_array
+from htcp_jax.io.parts.apt import BLOCK, NO_G_CODE
 from htcp_jax.io.parts.columns import NEARLY_UNIT, XYZ, ColumnIndices, TablePoints, chosen_columns, columns_of, unit_of
 from htcp_jax.io.parts.headings import (
     COORDINATE_NAMES,
@@ -181,6 +182,8 @@ class TableReader:
     def _row(self, number: int, content: str, cells: list[str]) -> None:
         if content.count('"') % 2:
             raise self._error(number, " has a quote without its end")
+        if self.keep and BLOCK.fullmatch(content.strip()):
+            raise self._error(number, f": {NO_G_CODE}")
         if len(cells) < 3 or (self.first and len(cells) != self.width):
             need = "3 are needed (x y z)" if len(cells) < 3 else f"line {self.first} has {self.width}"
             raise self._error(number, _decimal_commas(content) or f" has {len(cells)} columns, {need}")
