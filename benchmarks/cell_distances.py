@@ -23,7 +23,7 @@ import trimesh
 
 from benchmarks import hardware
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
@@ -139,7 +139,8 @@ def compare_ring(file: Path, folder: Path, count: int) -> Ring:
     ring.apply_translation(RING_AT)
     x = drawn(robot, count)
     world = World(np.eye(4), np.zeros(4))
-    ours = np.asarray(jax.jit(lambda x: jax.lax.map(partial(clearance, robot, (hoop,), world), x))(jnp.asarray(x)))
+    D = partial(minimum_clearance, robot, (hoop,), world)
+    ours = np.asarray(jax.jit(lambda x: jax.lax.map(D, x))(jnp.asarray(x)))
     _, p, q, *_ = arm.arm_poses(x)
     places = p[:, :, None] + np.linspace(0, 1, PLACES)[:, None] * (q - p)[:, :, None]
     apart = np.array([_to_triangles(ring, each) for each in places])

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks import hardware
 from benchmarks.figures import Figure, save
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Obstacles, clearance, is_clear
+from htcp_jax.clearance import Obstacles, is_clear, minimum_clearance
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.obstacles.linearisation import linearise
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
@@ -59,7 +59,7 @@ def main() -> None:
         points = _cloud(np.asarray(workpiece.cloud), size, random)
         obstacle = (replace(cloud, points=jnp.asarray(points), index=build_index(points)), *others)
         ours = _time(lambda q, o=obstacle: linearise(robot, o, where, q), x)
-        alone = _time(lambda q, o=obstacle: clearance(robot, o, where, q), x)
+        alone = _time(lambda q, o=obstacle: minimum_clearance(robot, o, where, q), x)
         path = _time(lambda q, o=obstacle: _path(robot, o, where, q), x)
         brute = _time(lambda q, o=obstacle: _brute_force(robot, o, where, q), x[: max(8, QUERIES * 500 // size)])
         print(row(size, ours, alone, path, brute))
@@ -77,7 +77,7 @@ def _verdicts(robot, obstacle: Obstacles, where, x: np.ndarray) -> tuple[float, 
     """Return the share of clear configurations, and the time of a verdict [us]."""
     each = lambda function: jax.jit(lambda rows: jax.lax.map(function, rows))(x)  # noqa: E731
     clear = lambda q: is_clear(robot, obstacle, where, q, where.margin_m)  # noqa: E731
-    found, distance = each(clear), each(lambda q: clearance(robot, obstacle, where, q))
+    found, distance = each(clear), each(lambda q: minimum_clearance(robot, obstacle, where, q))
     assert (found == (distance > where.margin_m)).all()
     return float(found.mean()), _time(clear, x)
 

@@ -34,7 +34,7 @@ from jaxtyping import Bool, Float
 import htcp_jax
 from htcp_jax.caching import cache_folder
 from htcp_jax.clearance.obstacles.cloud import Cloud
-from htcp_jax.clearance.obstacles.obstacles import clearance
+from htcp_jax.clearance.obstacles.obstacles import minimum_clearance
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.clearance.proof.error_bound import ErrorSet
 from htcp_jax.clearance.proof.error_scene import ErrorScene
@@ -330,7 +330,7 @@ def _measure_of(scene: ErrorScene) -> Callable:
         where = replace(where, T_world_workpiece=T, interior_plane=plane)
         grows = jnp.abs(units[-1]) * errors.cloud_m
         obstacles = [replace(o, cover=o.cover + grows) if isinstance(o, Cloud) else o for o in scene.obstacles]
-        return clearance(robot, tuple(obstacles), where, x + units[12 : 12 + dof] * errors.joints)
+        return minimum_clearance(robot, tuple(obstacles), where, x + units[12 : 12 + dof] * errors.joints)
 
     return jax.jit(jax.vmap(measure, in_axes=(0, 0, None)))
 

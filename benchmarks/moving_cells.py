@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks import cell_distances, hardware
 from benchmarks.cell_distances import FAR_M, WEDGE, Compared, Ring, compared
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures
 from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import distances
@@ -132,7 +132,7 @@ def compare(cell: Cell, folder: Path, count: int) -> tuple[list[Compared], Ring]
     ours = distances(robot, own.pairs, x)
     for kind, which in (("moving bodies", ~is_standing), ("bodies in the world", is_standing)):
         rows.append(compared(f"{kind}, {which.sum()} pairs", ours[:, which], between[:, which]))
-    query = partial(clearance, robot, (own,), cell_distances.World(np.eye(4), np.zeros(4)))
+    query = partial(minimum_clearance, robot, (own,), cell_distances.World(np.eye(4), np.zeros(4)))
     least = np.asarray(jax.jit(lambda x: jax.lax.map(query, x))(x))
     rows.append(compared("minimum clearance", least, between.min(axis=1)))
     at_part = np.asarray(cell_distances.shape_distances(robot, fixed, jnp.asarray(x)))

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from htcp_jax.caching import cache_folder
-from htcp_jax.clearance import Scene, clearance, own_scene
+from htcp_jax.clearance import Scene, minimum_clearance, own_scene
 from htcp_jax.device import Executor
 from htcp_jax.device.executor import EXECUTABLES
 from htcp_jax.device.lane_function import DEEP_LOOP, LaneFunction
@@ -309,7 +309,7 @@ def null_space_steps_anchored_at_the_end(
 
     def going(state):
         x, count = state
-        clear = clearance(scene.robot, scene.obstacles, lane, x) > lane.margin_m
+        clear = minimum_clearance(scene.robot, scene.obstacles, lane, x) > lane.margin_m
         return (count < settings.max_null_space_steps) & ~(clear & (count > 0))
 
     def step(state):

@@ -9,13 +9,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.model.inverse_kinematics import reanchor
 from htcp_jax.model.kinematics import tcp_position
 from htcp_jax.motion import Plans, Problem
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
-from htcp_jax.motion.motion_check import tubes
 from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus, Status
 
@@ -37,7 +36,7 @@ def bring(settings: Settings, scene: Scene, lane: LaneInputs, x) -> Brought:
     """Move a configuration to the lane's target by inverse kinematics."""
     robot, task = scene.robot, scene.task
     x, _ = reanchor(robot, x, lane.target, task.fine_m, task=task)
-    D = clearance(robot, scene.obstacles, lane, x)
+    D = minimum_clearance(robot, scene.obstacles, lane, x)
     return Brought(x, D, task.residual_at(robot, x, lane.target), tcp_position(robot, x))
 
 
@@ -75,8 +74,8 @@ class Cell:
 
         `turns` is True if the arm changes its configuration at the previous target.
         """
-        target, turns = np.full(len(a), target), np.broadcast_to(turns, len(a))
-        tube = tubes(self.problem, np.full(len(a), self.scenario), target, turns)
+        target = np.full(len(a), target)
+        tube = self.problem.tubes(self.scenario, target, turns=turns)
         return self.problem.checkers[0].edges(self._lanes(target), a, b, tube).verdict == SegmentStatus.VALID
 
     def uniform(self, draw: np.random.Generator, count: int) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 from ompl import base, geometric, util
 
 from benchmarks.peer_cell import Brought, Cell
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.motion import Plans, Problem, ViaPoints
 from htcp_jax.planning import Method
 from htcp_jax.spec import GP50
@@ -33,7 +33,7 @@ DRAWS = 256  # for goals, per round
 AHEAD = 10  # number of later targets by which goals are ranked
 ROUND_S = 2.0  # of RRT-Connect with the known goals, before more are drawn
 
-clearance_of = jax.jit(lambda scene, lane, x: clearance(scene.robot, scene.obstacles, lane, x))
+clearance_of = jax.jit(lambda scene, lane, x: minimum_clearance(scene.robot, scene.obstacles, lane, x))
 
 
 class AtPoint(base.Constraint):

@@ -1,4 +1,3 @@
-from . import clearance
 from .api import Plan, methods, plan
 from .clearance.obstacles.linearisation import linearise
 from .clearance.obstacles.obstacles import clearances, minimum_clearance
@@ -25,6 +24,7 @@ from .report.reach_study import reach_study
 from .report.report import make_report
 from .runs.run_folder import open_run
 from .runs.sweep import sweep
+from .settings import Settings
 from .spec.obstacle_kind import ObstacleKind, ObstacleShape
 from .spec.task_list import AxisRow, OrientationRow, PointRow
 from .spec.task_row_kind import TaskRowKind
@@ -49,6 +49,7 @@ __all__ = [
     "PointCloud",
     "PointRow",
     "Problem",
+    "Settings",
     "Status",
     "TaskRowKind",
     "TriangleMesh",
@@ -56,7 +57,6 @@ __all__ = [
     "capsule_point_distance",
     "capsule_segments",
     "charts",
-    "clearance",
     "clearances",
     "gp50",
     "jacobian",

@@ -1,16 +1,15 @@
 """Parameters of the planning methods. Robot, workpiece, start and margin are not part of them, but of the job.
 
-The defaults worked best in our tests; `configs/paper.yaml` contains the paper's values.
+The defaults worked best in our tests; `Settings.paper()` are the paper's values.
 """
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, create_model
 
-from htcp_jax.errors import InputError, described
+from htcp_jax.errors import InputError, described, did_you_mean
 
 
 def _could_be_a_solver(name: str) -> str:
@@ -117,6 +116,31 @@ class Settings:
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # every scenario's random key is derived from it
 
+    @classmethod
+    def paper(cls, joints: int = 6) -> "Settings":
+        """Return the paper's values, which `configs/paper.yaml` explains: `j1_weight` is 1, and Q has equal weights.
+
+        The paper's margin of 0 belongs to the scenario: `make_scenario(..., margin_m=0.0)`.
+
+        Args:
+            joints: Number of the arm's joints.
+        """
+        return cls(
+            q_weights=(1.0,) * joints,
+            cost_about="previous",
+            clearance_rows="smallest",
+            aim_above_m=0.0,
+            j1_weight=1.0,
+            first_direction="random_for_cmaes",
+            path_check="none",
+            path_test="samples",
+        )
+
+    @classmethod
+    def port(cls) -> "Settings":
+        """Return the paper's values with the authors' C++ port's Q, as `configs/port.yaml`, for an arm of 6 joints."""
+        return replace(cls.paper(), q_weights=cls.q_weights, first_direction=cls.first_direction)
+
     @property
     def tube_m(self) -> float:
         """Allowed distance of a motion's TCP from the line between two targets [m]."""
@@ -148,8 +172,7 @@ def settings_of(values: Settings | Mapping[str, Any] | None) -> Settings:
     known = [field.name for field in fields(Settings)]
     for name in values:
         if name not in known:
-            close = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}?" if close else f"valid: {', '.join(known)}"
+            hint = did_you_mean(str(name), known).rstrip() or f"valid: {', '.join(known)}"
             raise InputError(f"settings: unknown key {name}; {hint}")
     return _checked(TypeAdapter(Settings), values)
 

@@ -27,13 +27,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import htcp_jax
-from htcp_jax.clearance import Scene, clearances
-from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
-from htcp_jax.model.inverse_kinematics import reanchor
-from htcp_jax.model.kinematics import jacobian, tcp_position
-from htcp_jax.numerics import null_basis
-from htcp_jax.planning.methods import find
-from htcp_jax.planning.tracking.null_space import StuckScenario, anchor, sphere_problem
+from htcp_jax.clearance import Scene
+from htcp_jax.planning import methods
+from htcp_jax.planning.tracking import null_space
 
 # %% [markdown]
 # ## A target where the baseline ends
@@ -58,28 +54,30 @@ plan.figure()
 
 # %%
 settings, robot = plan.job.settings, plan.robot
-scene = Scene(robot, make_obstacle(plan.workpiece))
+scene = Scene(robot, htcp_jax.make_obstacle(plan.workpiece))
 
 
 def lost_target(plan):
     """The target that ended a plan, the configuration before it, and the scenario."""
     row = plan.summary.failures[0].target
     key = jax.random.key(0)
-    stuck = StuckScenario(jnp.asarray(plan.plans.x[0, row - 1]), jnp.asarray(plan.scenario.targets[row]), key)
+    stuck = null_space.StuckScenario(
+        jnp.asarray(plan.plans.x[0, row - 1]), jnp.asarray(plan.scenario.targets[row]), key
+    )
     return stuck, jax.tree.map(jnp.asarray, plan.scenario)
 
 
 @jax.jit
 def enter(scene, scenario, stuck):
     """The configuration at the lost target, from the one before it: Algorithm 1, line 9."""
-    x, _ = reanchor(scene.robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
-    return anchor(scene, settings, scenario, x, stuck.target)
+    x, _ = htcp_jax.reanchor(scene.robot, stuck.x_previous, stuck.target, 0.1 * settings.tolerance_m)
+    return null_space.anchor(scene, settings, scenario, x, stuck.target)
 
 
 @jax.jit
 def all_clearances(scene, scenario, xs):
     """D of every capsule [m] at each of the configurations xs."""
-    return jax.lax.map(lambda x: clearances(scene.robot, scene.obstacles, scenario, x), xs)
+    return jax.lax.map(lambda x: htcp_jax.clearances(scene.robot, scene.obstacles, scenario, x), xs)
 
 
 stuck, scenario = lost_target(plan)
@@ -102,7 +100,7 @@ def directions(longitude, latitude):
     return np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)], axis=-1)
 
 
-reach = settings.alpha_rad * np.asarray(null_basis(jacobian(robot, here.x)))
+reach = settings.alpha_rad * np.asarray(htcp_jax.null_basis(htcp_jax.jacobian(robot, here.x)))
 sphere = directions(*np.meshgrid(LONGITUDE, LATITUDE))
 all_bodies = np.asarray(all_clearances(scene, scenario, here.x + sphere.reshape(-1, 3) @ reach.T))
 all_bodies = all_bodies.reshape(*sphere.shape[:2], -1)
@@ -125,8 +123,8 @@ OPTIMISERS = {
 @partial(jax.jit, static_argnums=0)
 def best_direction(method, scene, scenario, key, x):
     """The direction w that an optimiser finds at x, and the clearance one step along it [m]."""
-    problem, seen, _ = sphere_problem(scene, settings, scenario, x)
-    return find(method).stages[0].minimise(problem, seen, key, settings)
+    problem, seen, _ = null_space.sphere_problem(scene, settings, scenario, x)
+    return methods.find(method).stages[0].minimise(problem, seen, key, settings)
 
 
 best = {method: best_direction(method, scene, scenario, stuck.key, here.x) for method in OPTIMISERS}
@@ -170,9 +168,9 @@ STEPS = 20
 @jax.jit
 def advance(scene, scenario, stuck, x, w):
     """One step along w, and back onto the target."""
-    x = x + settings.alpha_rad * null_basis(jacobian(scene.robot, x)) @ w
+    x = x + settings.alpha_rad * htcp_jax.null_basis(htcp_jax.jacobian(scene.robot, x)) @ w
     x = jnp.clip(x, scene.robot.lower, scene.robot.upper)
-    return anchor(scene, settings, scenario, x, stuck.target)
+    return null_space.anchor(scene, settings, scenario, x, stuck.target)
 
 
 def recovery(method, scenario, stuck, start):
@@ -235,14 +233,14 @@ def walk(scene, scenario, stuck, x, direction):
 
     def step(state, _):
         x, v = state
-        basis = null_basis(jacobian(robot, x))
+        basis = htcp_jax.null_basis(htcp_jax.jacobian(robot, x))
         v = basis @ (v @ basis)
         v = v / jnp.linalg.norm(v)
         x = jnp.clip(x + LENGTH_RAD * v, robot.lower, robot.upper)
-        x, _ = reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
-        return (x, v), jnp.min(clearances(robot, scene.obstacles, scenario, x))
+        x, _ = htcp_jax.reanchor(robot, x, stuck.target, 0.1 * settings.tolerance_m, iterations=3)
+        return (x, v), jnp.min(htcp_jax.clearances(robot, scene.obstacles, scenario, x))
 
-    start = x, null_basis(jacobian(robot, x)) @ direction
+    start = x, htcp_jax.null_basis(htcp_jax.jacobian(robot, x)) @ direction
     return jax.lax.scan(step, start, length=SELF_MOTION_STEPS)[1]
 
 
@@ -312,7 +310,7 @@ both = {method: htcp_jax.plan(overrides=POSE, method=method) for method in ("nsp
 
 # %%
 PLACES = 50
-tcps = jax.jit(jax.vmap(tcp_position, (None, 0)))
+tcps = jax.jit(jax.vmap(htcp_jax.tcp_position, (None, 0)))
 
 
 def off_line(plan, target):

@@ -24,9 +24,7 @@ from pathlib import Path
 import pandas
 
 import htcp_jax
-from htcp_jax.report.charts.placement import place_map
-from htcp_jax.report.place_pictures import best_pictures
-from htcp_jax.report.place_tables import read_search
+from htcp_jax.report import best_pictures, read_search
 
 FILE = Path("../configs/place/seams.yaml")
 print(FILE.read_text())
@@ -75,7 +73,7 @@ table.round(2)
 # reason why they fail.
 
 # %%
-place_map(searched)
+htcp_jax.charts.place_map(searched)
 
 # %% [markdown]
 # ## The best mounting

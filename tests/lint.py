@@ -26,8 +26,8 @@ what `members` excludes. A function is complete when
 - its numbers have a unit: a name that ends in one (margin_m), a type that always has one (`types`, a Pose), or one in
   brackets in the docstring, [m], or the docstring names the unit in words; counts and shares need none (COUNTED);
 - it mentions "InputError" if it raises one, directly or through a function with an underscore in the same module;
-- if it is mathematics, which docs/equations.md and docs/reference/mathematics.md show, it or its module names the
-  source: an equation, an algorithm, a section, a book.
+- if it is mathematics, which the pages in MATHEMATICS show, it or its module names the source: an equation, an
+  algorithm, a section, a book.
 
 A class is complete when it has a docstring, and its fields have shapes and units by annotation, name, type, or in
 brackets behind the field or in the docstring.
@@ -143,7 +143,7 @@ OWN_FILES = {  # modules that open files themselves, and why that is safe
     "api": "the same",
 }
 FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
-MATHEMATICS = "equations", "mathematics"  # pages
+MATHEMATICS = "bounds", "equations", "mathematics"  # pages
 SHOWN = re.compile(r"^::: htcp_jax\.(\S+)\n((?: +.*\n?)*)", re.MULTILINE)
 MEMBERS = re.compile(r"members: \[([^\]]*)\]")
 UNIT_IN_NAME = re.compile(r"_(m|mm|rad|deg|s|ms|m2|mm_s|share|rate)$")

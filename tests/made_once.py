@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.proof.bisection import Proof, initial_state
 from htcp_jax.clearance.proof.joint_path import StraightPath
@@ -145,7 +145,7 @@ class Pose(NamedTuple):
 
 
 def _clearance_and_tcp(robot, obstacles, where, x):
-    return clearance(robot, obstacles, where, x), tcp_position(robot, x)
+    return minimum_clearance(robot, obstacles, where, x), tcp_position(robot, x)
 
 
 def measured(where, x: np.ndarray, arm: Robot | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -235,7 +235,7 @@ def test_a_plan_s_robot_is_the_one_with_its_tool(short, tmp_path):
     shelves = replays_of("memory", plan), open_replays(tmp_path)
     for t in np.flatnonzero(plan.frame().tracked)[::4]:
         x = jax.numpy.asarray(plan.plans.x[0, t])
-        D = htcp_jax.clearance.clearance(plan.robot, obstacle, plan.scenario, x)
+        D = htcp_jax.minimum_clearance(plan.robot, obstacle, plan.scenario, x)
         np.testing.assert_allclose(D, plan.plans.clearance[0, t], atol=1e-12)
         np.testing.assert_allclose(htcp_jax.tcp_position(plan.robot, x), plan.plans.tcp[0, t], atol=1e-12)
         for replays in shelves:

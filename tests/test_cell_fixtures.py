@@ -14,7 +14,7 @@ import trimesh
 from made_once import prove
 
 import htcp_jax
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
 from htcp_jax.clearance.obstacles.self_collision import make_self_collision
 from htcp_jax.clearance.proof.bisection import PathVerdict
@@ -150,7 +150,7 @@ def test_validation_measures_boxes_and_meshes_on_links_exactly_in_every_place_of
     robot = build.robot_of(arm, surroundings)
     obstacles = build.obstacles_of(surroundings, robot)
     x = random_configurations(robot, 30)
-    bound = np.asarray(jax.jit(jax.vmap(partial(clearance, robot, obstacles, toy.scenario())))(x))
+    bound = np.asarray(jax.jit(jax.vmap(partial(minimum_clearance, robot, obstacles, toy.scenario())))(x))
     own = MujocoArm(tmp_path / "arm.xml")
     measured = MujocoCell(surroundings, own, own).distances(x, own.arm_poses(x)).min(axis=1)
     clear = measured > 0

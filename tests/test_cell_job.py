@@ -19,7 +19,7 @@ from small_cell import small_job
 from test_self_collision import CHAIN
 
 import htcp_jax
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.distance.solids import Box
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures, solid_of
 from htcp_jax.cli import main
@@ -208,7 +208,7 @@ def test_a_mesh_that_is_not_convex_is_a_bound_on_its_triangles(tmp_path):
         axes, radius = axes_of(robot, x)
         apart = trimesh.proximity.closest_point_naive(ring, axes.reshape(-1, 3))[1].reshape(axes.shape[:2]).min(axis=1)
         truth = (apart - radius).min()
-        D = float(clearance(robot, (hoop,), where, jnp.asarray(x)))
+        D = float(minimum_clearance(robot, (hoop,), where, jnp.asarray(x)))
         assert truth - 2 * float(hoop.cloud.cover) - 1e-3 < D <= truth + 1e-3  # the axes are sampled
 
 
@@ -222,7 +222,7 @@ def test_a_cloud_of_its_own_stands_where_the_job_says(tmp_path):
     for x in made_once.configurations_near(made_once.START, 4, 0.5):
         axes, radius = axes_of(robot, x)
         truth = (np.linalg.norm(axes[:, :, None] - world, axis=3).min(axis=(1, 2)) - radius).min()
-        assert abs(float(clearance(robot, (scan,), where, jnp.asarray(x))) - truth) < 1e-3
+        assert abs(float(minimum_clearance(robot, (scan,), where, jnp.asarray(x))) - truth) < 1e-3
 
 
 def axes_of(robot, x) -> tuple[np.ndarray, np.ndarray]:
@@ -263,7 +263,8 @@ def test_a_plan_next_to_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the
     aside = np.linalg.svd((q - p)[None])[2][1]
     job["cell"] |= {"moved": "post", "shift_m": (0.5 * (p + q) + 0.06 * aside - [2, 2, 1]).tolist()}
     plan = htcp_jax.plan(job)
-    alone = jax.jit(jax.vmap(partial(clearance, plan.robot, htcp_jax.make_obstacle(plan.workpiece), plan.scenario)))
+    duct = htcp_jax.make_obstacle(plan.workpiece)
+    alone = jax.jit(jax.vmap(partial(minimum_clearance, plan.robot, duct, plan.scenario)))
     tracked = plan.plans.tracked[0]
     assert tracked.any() and (alone(plan.plans.x[0, tracked]) > plan.plans.clearance[0, tracked] + 1e-3).all()
     plan.save(tmp_path / "plan")

@@ -12,7 +12,7 @@ import toy
 from mesh_cells import CELLS, truth, write_cell
 
 import htcp_jax
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud
 from htcp_jax.errors import Note
 from htcp_jax.io.cell import load_cell, read_meshes
@@ -76,7 +76,7 @@ def by_fcl(corners: np.ndarray, triangles: np.ndarray) -> float:
 @cache
 def planner_clearances():
     robot, where = toy.robot(), toy.scenario()
-    return jax.jit(lambda obstacles, x: jax.vmap(partial(clearance, robot, obstacles, where))(x))
+    return jax.jit(lambda obstacles, x: jax.vmap(partial(minimum_clearance, robot, obstacles, where))(x))
 
 
 @each_cell

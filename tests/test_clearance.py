@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from test_cloud_index import smallest_distances
 
 from htcp_jax.backend import Backend, compiled_for
-from htcp_jax.clearance import clearance, clearances, contacts, is_clear
+from htcp_jax.clearance import clearances, contacts, is_clear, minimum_clearance
 from htcp_jax.clearance.obstacles.linearisation import linearise
 from htcp_jax.clearance.obstacles.obstacle import Contacts
 from htcp_jax.clearance.obstacles.obstacles import ClearanceRows, clearance_rows
@@ -83,7 +83,7 @@ def forms(robot, obstacle, where, x) -> Forms:
     return Forms(
         contacts(*here),
         clearances(*here),
-        clearance(*here),
+        minimum_clearance(*here),
         is_clear(*here),
         linearise(*here).clearance,
         clearance_rows(*here, smallest=True),
@@ -317,7 +317,7 @@ def test_what_other_devices_compute_is_the_same():
 
     def look(x):
         here = robot, obstacle, where
-        return contacts(*here, x).distance, clearance(*here, x), is_clear(*here, x)
+        return contacts(*here, x).distance, minimum_clearance(*here, x), is_clear(*here, x)
 
     here = jax.jit(jax.vmap(look))(x)
     with compiled_for(Backend("another")):

@@ -15,7 +15,7 @@ from test_cloud_index import cloud
 from test_motion_proof import motions
 
 from htcp_jax.backend import Backend, compiled_for, triton
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import build_index
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
@@ -140,7 +140,7 @@ def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_a
     """Check 200 samples on joint paths of all lengths from recorded configurations."""
     scene, gained = Scene(*made_once.scene()), 0
     look, travel = jax.jit(lambda *given: on_interval(*given)[0]), jax.jit(travel_bound)
-    everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: clearance(*scene[:2], where, x), xs))
+    everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: minimum_clearance(*scene[:2], where, x), xs))
     for where, a, b, _ in motions():
         x, rates = (a + b) / 2, b - a
         near = float(
@@ -167,7 +167,7 @@ def floor_below(robot, where, x, gap_m):
     radius, angle = (each.ravel() for each in np.meshgrid(np.arange(0.6, 2.0, 0.01), np.arange(-0.5, 1.0, STEP)))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(len(angle), -2.0)], axis=1)
     turned = x[None] + jnp.linspace(0, STEP, 21)[:, None] * jnp.eye(6)[:1]
-    least = jax.jit(lambda floor: jnp.min(jax.lax.map(lambda x: clearance(robot, (floor,), where, x), turned)))
+    least = jax.jit(lambda floor: jnp.min(jax.lax.map(lambda x: minimum_clearance(robot, (floor,), where, x), turned)))
     for _ in range(6):  # the nearest point is not straight below
         points[:, 2] += float(least(cloud_of(points, 0.0))) - gap_m
     return cloud_of(points, 0.0)

@@ -12,7 +12,7 @@ import made_once
 import numpy as np
 import pytest
 import toy
-from small_motions import SMALL, in_duct, off_line, poses
+from small_motions import SMALL, in_duct, off_line, planned, poses
 from sphere_references import place
 
 from htcp_jax.clearance import in_workpiece
@@ -22,6 +22,7 @@ from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
 from htcp_jax.io.parts.workpiece_source import load_workpiece
 from htcp_jax.model.kinematics import tcp_position, tip_bounds, tip_segment
+from htcp_jax.model.robot import lengthen_tool
 from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
@@ -304,6 +305,32 @@ def test_goals_follow_the_targets_of_an_approach_that_left_its_lines():
     np.testing.assert_array_equal(
         np.delete(there.scenarios.task_goals[1], range(1, first), 0), np.delete(goals, range(1, first), 0)
     )
+
+
+def test_a_step_stays_on_the_path_where_a_dense_sampling_of_it_does():
+    """Steps of plans, and others near them: off the line, backwards, or free before the path and between seams."""
+    problem, plans, rng = problem_of(poses()), planned(), np.random.default_rng(7)
+    s, t = (np.repeat(each, 4) for each in np.nonzero(plans.executable))
+    a, b = plans.before(s, t), plans.x[s, t]
+    b = np.where((np.arange(len(s)) % 4 == 0)[:, None], b, b + rng.choice([1e-4, 1e-3, 0.1], (len(s), 1)) * (b - a))
+    b[1::4] += 1e-3 * rng.normal(size=b[1::4].shape)
+    b[2::4] = 2 * a[2::4] - b[2::4]
+    found = problem.checkers[0].stays_on_path(problem.inputs(s, t), a, b, problem.tubes(s, t))
+    free, expected, clear_cut = t <= problem.scenarios.on_path[s], [], []
+    for k in range(len(s)):
+        arm = made_once.robot()
+        arm = lengthen_tool(arm, problem.scenarios.tool_extension_m[s[k]])
+        start, end = problem.scenarios.targets[s[k], [max(t[k] - 1, 0), t[k]]]
+        tcp = np.asarray(TCPS(arm, np.concatenate([a[k, None], places(a[k], b[k], PLACES), b[k, None]])))
+        off, ahead = off_line(start, end, tcp).max(), np.diff(tcp @ (end - start)).min()
+        expected.append(free[k] or (off <= problem.settings.tube_m and ahead >= 0))
+        clear_cut.append(free[k] or (abs(off - problem.settings.tube_m) > 1e-6 and abs(ahead) > 1e-10))
+    sure = np.array(clear_cut)
+    assert found[sure].tolist() == np.array(expected)[sure].tolist() and sure.mean() > 0.95
+    assert free.any() and (found & ~free).sum() > 20 and (~found).sum() > 20
+    proofs = problem.checkers[0].edges(problem.inputs(s, t), a, b, problem.tubes(s, t))
+    assert found[proofs.verdict == SegmentStatus.VALID].all()
+    assert not found[np.isin(proofs.verdict, [SegmentStatus.OFF_PATH, SegmentStatus.REVERSES])].any()
 
 
 def test_steps_after_a_method_return_plans_and_change_none():

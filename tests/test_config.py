@@ -1,5 +1,6 @@
 """Configurations: the default is the shipped file, and every mistake gives one clear line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
+from htcp_jax.settings import Settings
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.spec.config_file import merged
 
@@ -37,6 +39,12 @@ def test_paper_yaml_is_reading_c_with_j1_at_weight_one():
     assert (chosen.cost_about, chosen.clearance_rows, chosen.j1_weight) == ("previous", "smallest", 1)
     assert (chosen.path_check, chosen.after_recovery) == ("none", "accept")
     assert paper.start_rad == PlanConfig().start_rad and paper.workpiece == PlanConfig().workpiece
+
+
+def test_settings_paper_and_port_are_those_of_the_files_with_these_names():
+    assert load_config(CONFIGS / "paper.yaml").settings == Settings.paper() != Settings()
+    assert load_config(CONFIGS / "port.yaml").settings == Settings.port() != Settings.paper()
+    assert replace(Settings.paper(7), q_weights=(1.0,) * 6) == Settings.paper()
 
 
 def test_overrides_come_last_and_are_yaml():

@@ -15,7 +15,7 @@ import toy
 from test_qp import ORACLE, dense_answer
 
 from htcp_jax.backend import Backend, compiled_for, triton
-from htcp_jax.clearance import clearance, is_clear
+from htcp_jax.clearance import is_clear, minimum_clearance
 from htcp_jax.solvers import cma_es, gpu_kernels
 from htcp_jax.solvers.interior_point import DenseSolution, solve_dense
 
@@ -196,7 +196,7 @@ def test_clear_by_a_margin_is_the_verdict_of_the_distance():
     scene, where = toy.scene(), jax.tree.map(jnp.asarray, toy.scenario())
     each = lambda query, *rows: jax.jit(jax.vmap(partial(query, scene.robot, scene.obstacles, where)))(*rows)  # noqa: E731
     x = np.random.default_rng(0).uniform(-1.5, 1.5, (64, 4))
-    D = each(clearance, x)
+    D = each(minimum_clearance, x)
     margin = jnp.maximum(D + np.tile([1e-9, -1e-9, 1e-3, 0.0], 16), 0.0)
     with compiled_for(INTERPRETED):
         np.testing.assert_array_equal(each(is_clear, x, margin), D > margin)

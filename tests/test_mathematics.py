@@ -5,6 +5,7 @@ import importlib
 import subprocess
 import sys
 from functools import cache, partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -114,7 +115,7 @@ def test_its_gradient_costs_no_more_operations_than_the_closed_form_and_fewer_th
     def operations(function):
         return jax.jit(function).lower(x).compile().cost_analysis()["flops"]
 
-    ours = operations(jax.value_and_grad(partial(htcp_jax.clearance.clearance, *scene)))
+    ours = operations(jax.value_and_grad(partial(htcp_jax.minimum_clearance, *scene)))
     rows = operations(partial(clearance_rows, *scene))
     assert ours <= rows  # only D, as in J2, compared with the rows that every step QP linearises
     closed = operations(lambda x: closed_form(*scene, x))
@@ -152,7 +153,7 @@ def test_without_settings_it_is_minus_the_clearance_for_an_arm_of_any_number_of_
     x_ref, w = jnp.full(7, 0.3), jnp.array([1.0, 0.0, 0.0, 0.0])
     x = x_ref + 0.1 * htcp_jax.null_basis(htcp_jax.jacobian(arm, x_ref)) @ w
     J2 = htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w)
-    np.testing.assert_allclose(J2, -htcp_jax.clearance.clearance(arm, obstacle, where, x), atol=1e-14)
+    np.testing.assert_allclose(J2, -htcp_jax.minimum_clearance(arm, obstacle, where, x), atol=1e-14)
     with pytest.raises(InputError, match="q_weights has 6 values, but the robot seven has 7 joints"):
         htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w, Settings())
 
@@ -170,7 +171,7 @@ calls = {
     "tcp_position": lambda x: htcp_jax.tcp_position(arm, x),
     "jacobian": lambda x: htcp_jax.jacobian(arm, x),
     "capsule_segments": lambda x: htcp_jax.capsule_segments(arm, x)[0],
-    "clearance": lambda x: htcp_jax.clearance.clearance(*scene, x),
+    "clearance": lambda x: htcp_jax.minimum_clearance(*scene, x),
     "linearise": lambda x: htcp_jax.linearise(*scene, x).clearance.gradient,
     "reanchor": lambda x: htcp_jax.reanchor(arm, x, [1.1, 0, 1.4], 1e-6)[0],
     "objective": lambda x: htcp_jax.null_space_objective(*scene, x, w.tolist()),
@@ -206,12 +207,11 @@ def test_lists_are_taken_and_a_batch_is_refused_in_one_line_that_names_vmap():
     assert done.returncode == 0, done.stderr
 
 
-def test_the_mathematics_is_there_by_name_and_clearance_is_in_its_room():
+def test_the_mathematics_is_there_by_name_and_no_package_has_the_name_of_a_function():
     for name in ("tcp_position", "tcp_pose", "jacobian", "capsule_segments", "minimum_clearance", "linearise"):
         assert callable(getattr(htcp_jax, name)) and name in htcp_jax.__all__
-    from htcp_jax.clearance import clearance
-
-    assert htcp_jax.clearance.clearance is clearance
+    packages = [folder.parent.name for folder in Path(htcp_jax.__file__).parent.glob("*/__init__.py")]
+    assert "clearance" in packages and not {*packages} & {*htcp_jax.__all__}
 
 
 @pytest.mark.parametrize("module", ["numerics", "planning.tracking.null_space"])
@@ -224,5 +224,6 @@ def test_the_objective_takes_settings_as_a_mapping():
     arm, duct = made_once.robot(), made_once.duct()
     where = htcp_jax.make_scenario(arm, duct, made_once.START)
     scene = arm, htcp_jax.make_obstacle(duct), where, jnp.array(made_once.START), jnp.array([1.0, 0.0, 0.0])
-    plain, weighed = (float(htcp_jax.null_space_objective(*scene, s)) for s in (None, {"j1_weight": 1.0}))
-    assert weighed > plain
+    paper = Settings.paper()
+    plain, weighed, same = (float(htcp_jax.null_space_objective(*scene, s)) for s in (None, {"j1_weight": 1.0}, paper))
+    assert weighed == same == pytest.approx(plain + paper.alpha_rad**2, abs=1e-12)  # the paper's Q: J1 = |alpha w|^2

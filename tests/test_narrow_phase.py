@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
 import htcp_jax
-from htcp_jax.clearance import Scene, by_pieces, clearance, contacts, is_clear
+from htcp_jax.clearance import Scene, by_pieces, contacts, is_clear, minimum_clearance
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Rod
 from htcp_jax.clearance.obstacles import surely_collides
 from htcp_jax.clearance.obstacles.cloud import cloud_of
@@ -101,7 +101,7 @@ def verdicts(arm, obstacles, xs, above):
     """Distances, verdicts at margins `above` them by the distance and by the query alone, and sure collisions."""
 
     def at(x, above):
-        D = clearance(arm, obstacles, WHERE, x)
+        D = minimum_clearance(arm, obstacles, WHERE, x)
         margin = jnp.maximum(D + above, 0.0)
         here = arm, obstacles, WHERE, x
         return D, D > margin, is_clear(*here, margin), surely_collides(*here)
@@ -300,7 +300,7 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
     thick = scene._replace(robot=dataclasses.replace(arm, pieces=None))
     proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b, kept=0.5))
-    places = jax.jit(jax.vmap(lambda x: clearance(arm, scene.obstacles, WHERE, x)))
+    places = jax.jit(jax.vmap(lambda x: minimum_clearance(arm, scene.obstacles, WHERE, x)))
     gained = 0
     for x in made_once.configurations(arm, 30, seed=5):
         a, b = x, x + 0.05 * np.random.default_rng(6).normal(size=len(x))
@@ -392,7 +392,7 @@ def test_a_piece_that_turns_about_the_axis_of_its_capsule_is_not_called_clear(ki
     if kind == "ball":
         obstacle = dataclasses.replace(obstacle, is_checked=jnp.ones_like(obstacle.is_checked))
     a, b = jnp.array([-1.5, 0, 0]), jnp.array([1.5, 0.0, 0.0])
-    near, far = (float(clearance(arm, (obstacle,), WHERE, jnp.array([x, 0, 0]))) for x in (np.pi / 2, 0.0))
+    near, far = (float(minimum_clearance(arm, (obstacle,), WHERE, jnp.array([x, 0, 0]))) for x in (np.pi / 2, 0.0))
     assert near < 0 < far
     scene = Scene(arm, (obstacle,))
     assert int(prove(scene, WHERE, a, b).verdict) == SegmentStatus.IN_COLLISION

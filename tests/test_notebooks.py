@@ -1,5 +1,7 @@
 """Shipped notebooks: each `.ipynb` has the cells of its `.py` and the outputs of one run; none is executed here."""
 
+import ast
+import importlib
 import re
 from pathlib import Path
 
@@ -32,6 +34,15 @@ def test_all_cells_of_a_notebook_were_executed_in_order_and_show_a_result(script
     assert not [output for output in outputs if output.output_type == "error" or output.get("name") == "stderr"]
     empty = [text for output in outputs if "Empty DataFrame" in (text := str(output.get("data", {}).get("text/plain")))]
     assert not empty  # regression: a cell displayed an empty frame below a text that relied on its rows
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_notebook_imports_only_public_names(script):
+    for node in ast.walk(ast.parse(script.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("htcp_jax"):
+            package = importlib.import_module(node.module)
+            assert package.__file__.endswith("__init__.py"), f"{node.module} is a module; use a package's public names"
+            assert {each.name for each in node.names} <= {*package.__all__}, node.module
 
 
 def test_a_notebook_contains_no_path_of_the_machine_that_executed_it():

@@ -1,13 +1,20 @@
 """The null-space basis of a Jacobian, steps along it, and the re-anchoring of configurations on a target."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
 
+from htcp_jax.clearance import minimum_clearance
+from htcp_jax.model.built_in_rows import AxisTowards
 from htcp_jax.model.inverse_kinematics import reanchor, within_limits
-from htcp_jax.model.kinematics import jacobian, tcp_position
+from htcp_jax.model.kinematics import jacobian, tcp_pose, tcp_position
+from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.model.task import Task
+from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.numerics import null_basis
 
 RNG = np.random.default_rng(0)
@@ -121,6 +128,59 @@ def test_reanchoring_leaves_a_configuration_on_its_target_alone(arm):
     same, error = REANCHOR(arm, x, tcp_position(arm, x) + 1e-5, tolerance_m=TOLERANCE_M)
     np.testing.assert_array_equal(same, x)
     np.testing.assert_allclose(error, 1e-5 * np.sqrt(3), rtol=1e-6)
+
+
+def differences(function, at: tuple, k: int, h: float) -> np.ndarray:
+    """Central differences of a function by its k-th argument; like `jax.jacfwd`, the last axis is the argument's."""
+    steps = h * np.eye(at[k].size).reshape(-1, *at[k].shape)
+    ends = [[function(*at[:k], at[k] + sign * step, *at[k + 1 :]) for sign in (1, -1)] for step in steps]
+    columns = np.stack([(more - less) / (2 * h) for more, less in ends], axis=-1)
+    return columns if at[k].ndim else columns[..., 0]
+
+
+CONE = Task((TaskPoint(), AxisTowards(None, (0.0, 0.0, 1.0), cone=True)))
+
+
+@pytest.mark.parametrize("task", [Task(), CONE], ids=["point", "cone"])
+def test_reanchoring_has_one_derivative_in_forward_and_reverse_mode_and_by_differences(arm, task):
+    """Derivative by configuration, goal and tool length; its part along the task is the implicit function theorem's."""
+    x = jnp.asarray(np.clip(made_once.configurations(arm, 1, seed=6)[0], -2.0, 2.0))
+    tcp = tcp_pose(arm, x)
+    tilted = (tcp[:3, 2] + 0.3 * tcp[:3, 0]) / np.sqrt(1 + 0.3**2)  # by 0.29 rad: the cone below is violated at x
+    goal = jnp.concatenate([tcp[:3, 3] + jnp.array([0.02, -0.03, 0.01]), tilted, jnp.array([0.2])])[: task.numbers]
+
+    @jax.jit
+    def found(x, p, extension_m):
+        target = jnp.concatenate([p, goal[3:]])
+        return reanchor(lengthen_tool(arm, extension_m), x, target, 1e-11, task=task)[0]
+
+    at = x, goal[:3], jnp.zeros(())
+    there, which = found(*at), (0, 1, 2)
+    assert np.linalg.norm(there - x) > 0.01
+    forward, reverse = (jax.jit(mode(found, which))(*at) for mode in (jax.jacfwd, jax.jacrev))
+    for k, (one, other) in enumerate(zip(forward, reverse, strict=True)):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(other, differences(found, at, k, 1e-5), rtol=0, atol=1e-7)
+    J = np.asarray(jacobian(arm, there))
+    np.testing.assert_allclose(J @ reverse[0], 0.0, atol=1e-7)
+    np.testing.assert_allclose(J @ reverse[1], np.eye(3), atol=1e-7)
+
+
+def test_the_gradient_of_the_clearance_by_the_tools_length_and_the_parts_place_is_that_of_differences():
+    arm, obstacle, where = made_once.robot(), made_once.scene().obstacles, made_once.nominal()
+    x, p = jnp.asarray(made_once.START), jnp.asarray(where.targets[30])
+
+    @jax.jit
+    def D(extension_m, shift_m):
+        longer = lengthen_tool(arm, extension_m)
+        moved = replace(where, T_world_workpiece=jnp.asarray(where.T_world_workpiece).at[:3, 3].add(shift_m))
+        on_target, _ = reanchor(longer, x, p + shift_m, 1e-11)
+        return minimum_clearance(longer, obstacle, moved, on_target)
+
+    at = jnp.zeros(()), jnp.zeros(3)
+    for k, slope in enumerate(jax.jit(jax.grad(D, argnums=(0, 1)))(*at)):
+        assert np.linalg.norm(slope) > 1e-3
+        np.testing.assert_allclose(slope, differences(D, at, k, 1e-6), rtol=0, atol=1e-7)
 
 
 def test_reanchoring_stops_at_its_iterations(arm):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from own_obstacles import Floor
 
-from htcp_jax.clearance import Obstacle, Scene, clearance, clearances, contacts, is_clear, rows_of
+from htcp_jax.clearance import Obstacle, Scene, clearances, contacts, is_clear, minimum_clearance, rows_of
 from htcp_jax.clearance.obstacles import surely_collides
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.obstacle import Contacts, bodies_at
@@ -64,7 +64,7 @@ def answers(queries, x, own=None) -> list:
 def answered() -> Answers:
     """Answers to every query at all `configurations`."""
     ends = lambda robot, obstacles, where, x: capsule_segments(robot, x)  # noqa: E731
-    queries = clearances, clearance, is_clear, free_radius, clearance_rows, contacts, ends
+    queries = clearances, minimum_clearance, is_clear, free_radius, clearance_rows, contacts, ends
     return Answers(*answers(queries, configurations()))
 
 
@@ -125,7 +125,7 @@ def test_capsules_surely_collide_where_their_clearance_is_negative():
 def verdicts(robot, obstacles, where, x, above):
     """Verdicts at a margin `above` D [m], by the distance and by the query alone."""
     here = robot, obstacles, where, x
-    D = clearance(*here)
+    D = minimum_clearance(*here)
     margin = jnp.maximum(D + above, 0.0)
     return D > margin, is_clear(*here, margin)
 
@@ -180,7 +180,7 @@ def test_paths_are_clear_where_no_sample_of_them_touches_any_kind():
     settings = Settings(path_test="samples", path_steps=40)
     for kinds in (*((each,) for each in obstacles()), obstacles()):
         checker = CollisionChecker(Executor(Scene(made_once.robot(), kinds), settings), settings)
-        truth = answers((clearance,), inner, kinds)[0].reshape(len(starts), 39).min(axis=1) > 0
+        truth = answers((minimum_clearance,), inner, kinds)[0].reshape(len(starts), 39).min(axis=1) > 0
         np.testing.assert_array_equal(checker.path_clear(inputs, starts, ends), truth)
     assert truth.any() and not truth.all()
     proven = checker.edges(inputs, starts, ends, resolution_m=RESOLUTION_M).verdict == SegmentStatus.VALID

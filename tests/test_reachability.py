@@ -11,7 +11,7 @@ import pytest
 import toy
 from scipy.spatial.transform import Rotation
 
-from htcp_jax.clearance import clearance
+from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.proof.branch_exclusion import BRANCHES, branch, has_branches
 from htcp_jax.clearance.proof.exclusion import Bodies, arm_cell, has_wrist, wrist
 from htcp_jax.cli import main
@@ -232,7 +232,7 @@ def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
     def measure(x):
         pose = jnp.asarray(where.T_world_workpiece).at[:3, 3].add(tcp_position(robot, x) - where.targets[row])
         moved = replace(where, T_world_workpiece=pose)
-        return clearance(only, scene.obstacles, moved, x), link_poses(robot, x)[-1, :3, :3]
+        return minimum_clearance(only, scene.obstacles, moved, x), link_poses(robot, x)[-1, :3, :3]
 
     x = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
     D, R = jax.jit(lambda x: jax.lax.map(measure, x))(x)

@@ -11,7 +11,7 @@ import pytest
 import toy
 from sphere_references import place
 
-from htcp_jax.clearance import clearance, clearances, contacts, is_clear
+from htcp_jax.clearance import clearances, contacts, is_clear, minimum_clearance
 from htcp_jax.device import Executor
 from htcp_jax.model.kinematics import jacobian, tcp_position
 from htcp_jax.model.scenario import stack
@@ -45,7 +45,7 @@ def run(function, *rest, settings=SETTINGS):
     return jax.tree.map(np.asarray, jitted(function, settings)(made_once.scene(), *rest))
 
 
-_D = jax.jit(clearance)
+_D = jax.jit(minimum_clearance)
 _CLEAR = jax.jit(jax.vmap(is_clear, (None, None, None, 0)))
 AHEAD = np.array([0.0, 3e-3, 0.0])
 _TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)

@@ -10,7 +10,7 @@ import stranger_jobs
 import trimesh
 
 import htcp_jax
-from htcp_jax.clearance import clearance, clearances, contacts, is_clear, rows_of
+from htcp_jax.clearance import clearances, contacts, is_clear, minimum_clearance, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.cli import main
@@ -108,7 +108,7 @@ def test_the_clearance_is_a_bound_on_that_to_the_triangles(car):
         touch = contacts(robot, obstacle, where, x)
         held = hold_contacts(robot, x, rows, touch)
         predicted = [predict_distances(robot, place, rows, held)[0] for place in (x, near)]
-        return touch, clearance(robot, obstacle, where, x), predicted, clearances(robot, obstacle, where, near)
+        return touch, minimum_clearance(robot, obstacle, where, x), predicted, clearances(robot, obstacle, where, near)
 
     x0, rng = np.asarray(where.x_start), np.random.default_rng(0)
     for x in [x0, *(x0 + rng.uniform(-0.4, 0.4, (12, 6)))]:

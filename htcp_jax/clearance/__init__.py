@@ -3,7 +3,7 @@
 `Obstacle` is the base class of all kinds of obstacle, and `Obstacles` is a tuple of obstacles. `Scene` is a robot with
 its obstacles and task, which all scenarios of a plan share; `own_scene` returns the scene with a scenario's own tool.
 
-`clearance` returns the minimum clearance of a configuration, `clearances` one distance per row of the obstacles, and
+`minimum_clearance` returns the clearance of a configuration, `clearances` one distance per row of the obstacles, and
 `contacts` the nearest points and their normals. `is_clear` tests D > margin_m at less cost. `ClearanceRows` are the
 linearised clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` are for code that
 evaluates single pairs.

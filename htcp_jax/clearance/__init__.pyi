@@ -9,7 +9,7 @@ from .obstacles.obstacle import (
     rows_of,
     surface_points,
 )
-from .obstacles.obstacles import ClearanceRows, clearance, clearances, contacts, is_clear, nearest_to
+from .obstacles.obstacles import ClearanceRows, clearances, contacts, is_clear, minimum_clearance, nearest_to
 
 __all__ = [
     "ClearanceRows",
@@ -18,11 +18,11 @@ __all__ = [
     "Obstacles",
     "Scene",
     "by_pieces",
-    "clearance",
     "clearances",
     "contacts",
     "in_workpiece",
     "is_clear",
+    "minimum_clearance",
     "nearest_to",
     "own_scene",
     "rows_of",

@@ -4,12 +4,13 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.model.kinematics import checked_configuration
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.task import TCP_POSITION, Task
 from htcp_jax.numerics import checked_shape, product, safe_norm, solve_spd
-from htcp_jax.types import Array, Bool, Float, Joints, Scalar
+from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar
 
 DAMPING = 1e-6  # damping of a step [m2/rad2]
 
@@ -27,7 +28,7 @@ def reanchor(
 
     The damping (1e-3 m/rad)^2 bounds the steps at singularities; elsewhere it shortens a Newton step by about 1e-6 of
     its length. A joint at its limit stays there while the others compensate. A violated band or cone adds a row to the
-    step's equations.
+    step's equations. The derivative is that of the steps, in forward and in reverse mode.
 
     Args:
         robot: The robot.
@@ -44,6 +45,15 @@ def reanchor(
         InputError: For more than one configuration or target.
     """
     x, target = checked_configuration(robot, x), checked_shape(target, (task.numbers,), "target")
+    x, error, _ = _newton_steps(task, tolerance_m, iterations, robot, x, target)
+    return x, task.residual_at(robot, x, target) if task.bands else safe_norm(error)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
+def _newton_steps(
+    task: Task, tolerance_m: float, iterations: int, robot: Robot, x: Joints, target: Float[Array, "G"]
+) -> tuple[Joints, Float[Array, "R"], Int[Array, ""]]:
+    """Return x after the steps of `reanchor`, the residual that the next step would remove [m], and their number."""
     off, slopes = partial(_residual_to_remove, robot, task, target), partial(_slopes, robot, task, target)
 
     def look(x):
@@ -59,8 +69,27 @@ def reanchor(
 
     # The first iteration evaluates the initial x, so that the kinematics is compiled only once.
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
-    (x, error, _), _ = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
-    return x, task.residual_at(robot, x, target) if task.bands else safe_norm(error)
+    (x, error, _), count = jax.lax.while_loop(going, step, ((x, *blank[1:]), jnp.full((), -1, jnp.int32)))
+    return x, error, count
+
+
+@_newton_steps.defjvp
+def _derivative_of_newton_steps(task: Task, tolerance_m: float, iterations: int, primals, tangents):
+    """Differentiate the same steps in a loop of fixed length: one that ends by a condition has no reverse mode."""
+    found = *_, count = _newton_steps(task, tolerance_m, iterations, *primals)
+
+    def again(robot, x, target):
+        def step(x):
+            error, jac = _residual_to_remove(robot, task, target, x), _slopes(robot, task, target, x)
+            return damped_step(robot, x, error, jac, DAMPING)
+
+        def next_one(x, number):
+            return jax.lax.cond(number < count, step, lambda x: x, x), None
+
+        x, _ = jax.lax.scan(next_one, x, jnp.arange(iterations, dtype=count.dtype))
+        return x, _residual_to_remove(robot, task, target, x)
+
+    return found, (*jax.jvp(again, primals, tangents)[1], np.zeros((), jax.dtypes.float0))
 
 
 def damped_step(robot: Robot, x: Joints, error: Float[Array, "M"], jac: Float[Array, "M N"], damping: float) -> Joints:

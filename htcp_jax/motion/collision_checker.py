@@ -25,6 +25,7 @@ from htcp_jax.motion.step_functions import (
     PROVE,
     PROVE_POLYNOMIAL,
     SETTLE,
+    STAY_IN_TUBE,
     TIP,
     ProofResolution,
     State,
@@ -195,6 +196,21 @@ class CollisionChecker:
                 own, start, end = tables.gather((inputs, a, b), clear)
                 clear[clear] = self.executor(CLEAR, own, start + step / steps * (end - start))
         return self._tip_free_along(inputs, a, b, clear)
+
+    def stays_on_path(self, inputs: LaneInputs, a: Configurations, b: Configurations, tube: motion_proof.Tube) -> Rows:
+        """Return True for straight joint paths on which the tool is proven to stay on its path, clear or not.
+
+        This is one of the conditions of `edges` with the same tube, and costs a fraction of it. On segments of the path
+        the TCP stays within `settings.path_tolerance_m` of the line from the previous target and advances along it, and
+        the task's other rows are satisfied. Before the path and between seams the result is True.
+
+        Args:
+            inputs: Scenario and target of each path.
+            a: Starts of the paths [rad or m].
+            b: Ends of the paths [rad or m].
+            tube: Allowed regions of the TCP, from `Problem.tubes` for the same rows.
+        """
+        return self.executor(STAY_IN_TUBE, inputs, a, b, tube) == SegmentStatus.VALID
 
     def _tip_free_along(self, inputs: LaneInputs, a: Configurations, b: Configurations, among: Rows) -> Rows:
         """Return True for paths marked by `among` whose bare tip does not pass through a wall, see `edges`."""

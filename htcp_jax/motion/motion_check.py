@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.proof import bisection, margin, motion_proof
+from htcp_jax.clearance.proof import bisection, margin
 from htcp_jax.device import tables
-from htcp_jax.model import ONE_POINT_M, TCP_POSITION, Scenario
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.segment_tubes import segment_margins
 from htcp_jax.status import MOTION, SegmentStatus
 
 KEPT = 0.5  # share of the clearance that must be proven on a segment
@@ -39,63 +39,6 @@ class StraightPaths(NamedTuple):
     a: Float[np.ndarray, "n N"]  # starts of the paths [rad or m]
     b: Float[np.ndarray, "n N"]  # ends of the paths [rad or m]
     turns: Bool[np.ndarray, "n"]  # True if the arm changes its configuration while the TCP stays at the previous target
-
-
-def tubes(problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray) -> motion_proof.Tube:
-    """Return the tubes in which the TCP must stay on some segments, with the task's goals and the margin on the path.
-
-    A tube is unbounded on the approach and between seams, and if the task does not constrain the TCP's position.
-
-    Args:
-        problem: The problem.
-        scenario: Row of each segment's scenario (n,).
-        target: Target at each segment's end (n,).
-        turns: True if the arm changes its configuration on the segment while the TCP stays (n,).
-    """
-    scenarios, task = problem.scenarios, problem.task
-    free = problem.off_path(scenario, target) | (not task.holds_tcp)
-    rows = _goals_at_ends(problem, scenario, target, turns)
-    required = margin.constant(_margins_of_path(problem, scenario, target))
-    if free.all():
-        return motion_proof.Tube(
-            np.zeros((len(target), 3)), np.zeros((len(target), 3)), np.full(len(target), np.inf), *rows, required
-        )
-    ends = np.maximum(target - 1, 0), np.minimum(target, scenarios.goals.shape[1] - 1)  # the last target ends the path
-    a, b = (task.tcp_place(scenarios.goals[scenario, row]) for row in ends)
-    a = np.where((np.linalg.norm(b - a, axis=1) < ONE_POINT_M)[:, None], b, a)
-    radius = np.where(free, np.inf, problem.settings.tube_m)
-    return motion_proof.Tube(a, np.where(turns[:, None], a, b), radius, *rows, required)
-
-
-def segment_margins(scenarios: Scenario, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
-    """Return the required clearance on segments of one seam [m]; -inf where only D > 0 is required, as before the path.
-
-    Args:
-        scenarios: Stacked scenarios.
-        scenario: Row of each segment's scenario (n,).
-        target: Target at each segment's end (n,).
-    """
-    least = scenarios.margins_to(scenario, target)[1]
-    return np.where((target > scenarios.on_path[scenario]) & (least > 0), least, -np.inf)
-
-
-def _margins_of_path(problem: Problem, scenario: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "n"]:
-    """Return the clearances of `segment_margins` on all seams [m]; -inf between them."""
-    return np.where(problem.off_path(scenario, target), -np.inf, segment_margins(problem.scenarios, scenario, target))
-
-
-def _goals_at_ends(
-    problem: Problem, scenario: np.ndarray, target: np.ndarray, turns: np.ndarray
-) -> tuple[Float[np.ndarray, "n 2 G"], Bool[np.ndarray, "n"]] | tuple[None, None]:
-    """Return the task's goals at both ends of each segment, and True if they are required on the segment.
-
-    Goals are required on the path. The result is None for the paper's task, which the tube alone enforces.
-    """
-    if problem.task.parts == TCP_POSITION.parts:
-        return None, None
-    scenarios, before = problem.scenarios, np.maximum(target - 1, 0)
-    goals = np.stack([scenarios.goals[scenario, row] for row in (before, np.where(turns, before, target))], axis=1)
-    return goals, ~problem.off_path(scenario, target)
 
 
 class RequiredMargins:
@@ -128,7 +71,8 @@ class RequiredMargins:
             scenario: Row of each segment's scenario (n,).
             target: Target at each segment's end (n,).
         """
-        found = margin.constant(_margins_of_path(self._problem, scenario, target))
+        off_path = self._problem.off_path(scenario, target)
+        found = margin.constant(segment_margins(self._scenarios, scenario, target, off_path))
         before = self.off_path(scenario, target)
         if not before.any():
             return found
@@ -306,7 +250,7 @@ def prove_segments(
         margins: Required clearance before the path; None: only D > 0.
     """
     inputs = lane_inputs(problem.scenarios, segments.scenario, segments.target)
-    tube = tubes(problem, segments.scenario, segments.target, segments.turns)
+    tube = problem.tubes(segments.scenario, segments.target, turns=segments.turns)
     if margins is not None:
         tube = tube._replace(margin=margins.of(segments.scenario, segments.target))
     return checker.edges(inputs, segments.a, segments.b, tube, kept=kept)

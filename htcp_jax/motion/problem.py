@@ -13,13 +13,14 @@ from jaxtyping import Bool, Int
 
 from htcp_jax.clearance import Obstacle, Obstacles, Scene
 from htcp_jax.clearance.obstacles import all_obstacles, make_tip_guard, with_given
+from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.device import Executor
 from htcp_jax.device import devices as compute_devices
 from htcp_jax.device import processes as worker_processes
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece
 from htcp_jax.model import scenario as scenario_functions
-from htcp_jax.motion import start_check
+from htcp_jax.motion import segment_tubes, start_check
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.plans import Plans
@@ -245,6 +246,23 @@ class Problem:
         """
         rows = np.broadcast_arrays(scenario, target)
         return lane_inputs(self.scenarios, *(np.repeat(each, count) for each in rows))
+
+    def tubes(
+        self, scenario: Rows, target: Rows, count: int = 1, *, turns: np.ndarray | bool = False
+    ) -> motion_proof.Tube:
+        """Return the regions in which the TCP must stay on segments, with the task's goals and the required clearance.
+
+        A tube is unbounded before the path and between seams, and if the task does not constrain the TCP's position.
+
+        Args:
+            scenario: Row of a scenario, or n rows.
+            target: Index of the target at the segment's end, or n of them.
+            count: Number of equal rows; those of one segment follow each other.
+            turns: True, or a mask (n,), for parts of a segment on which the arm changes its configuration while the TCP
+                stays.
+        """
+        s, t, turn = (np.repeat(each, count) for each in np.broadcast_arrays(scenario, target, turns))
+        return segment_tubes.tubes(self.scenarios, self.task, self.settings.tube_m, s, t, turn, self.off_path(s, t))
 
     def in_threads(
         self, work: Callable[[CollisionChecker, slice], FoundInThread], threads: int | None = None

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from htcp_jax.clearance import Scene, in_workpiece, is_clear
 from htcp_jax.clearance.obstacles import Linearisation, linearise, surely_collides
-from htcp_jax.clearance.proof import bisection, joint_path, known_rows, motion_proof
+from htcp_jax.clearance.proof import ROUNDING_M, bisection, joint_path, known_rows, motion_proof
 from htcp_jax.device import Loop, Remembering, by_chunks, lane_function
 from htcp_jax.model import Robot, TaskLinear, kinematics, reanchor
 from htcp_jax.motion.lane_inputs import LaneInputs
@@ -259,6 +259,16 @@ def prove_polynomial(
     return _proof_of(scene, lane, path, tube._replace(goals=None, required=None), closely)
 
 
+def stay_in_tube(settings: Settings, scene: Scene, lane: LaneInputs, a, b, tube: motion_proof.Tube) -> Loop:
+    """Prove or refute that the TCP stays in its tube on a straight joint path, see `prove_path`; return a verdict."""
+    path, nothing = joint_path.StraightPath(a, b), scene._replace(obstacles=())
+    tube, deepest = tube._replace(margin=None), motion_proof.DEEPEST
+    check = motion_proof.query_on(nothing, lane, path, tube, -ROUNDING_M, deepest, 0.0)
+    start = jax.tree.map(jnp.asarray, bisection.initial_state())
+    step = lambda _, search: check(search, None)[0]  # noqa: E731
+    return Loop(start, lambda search: search.going, step, lambda search: search.proof.verdict)
+
+
 def _proof_of(
     scene: Scene, lane: LaneInputs, path: joint_path.JointPath, tube: motion_proof.Tube, closely: ProofResolution
 ) -> Loop:
@@ -316,6 +326,7 @@ TIP = lane_function.LaneFunction("tip", tip, lane_function.STEP, any_cone=True)
 PROVE = lane_function.LaneFunction(
     "prove", prove_path, lane_function.TRACKED, refill=by_chunks, remembers=True, any_cone=True
 )
+STAY_IN_TUBE = lane_function.LaneFunction("stay_in_tube", stay_in_tube, lane_function.TRACKED, any_cone=True)
 PROVE_POLYNOMIAL = lane_function.LaneFunction(
     "prove_polynomial", prove_polynomial, lane_function.TRACKED, refill=by_chunks, remembers=True, any_cone=True
 )

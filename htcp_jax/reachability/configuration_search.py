@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.device import lane_function, tables
 from htcp_jax.model import Robot, damped_step, kinematics, moved_by, quaternion_matrix, reanchor, sine_error
 from htcp_jax.model import robot as robots
@@ -81,7 +81,7 @@ def aim(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, quate
 
 def measure(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
     """Return the clearance D at x (N,) [rad or m]."""
-    return clearance(scene.robot, scene.obstacles, lane, x)
+    return minimum_clearance(scene.robot, scene.obstacles, lane, x)
 
 
 AIM = lane_function.LaneFunction("aim", aim, tool_cells.MANY)

@@ -1,8 +1,11 @@
 """docs/equations.md: each equation of the paper has a row, and every name in a row exists."""
 
 import re
+from dataclasses import fields
 from pathlib import Path
 from pkgutil import resolve_name
+
+from htcp_jax.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 # Numbers as in the paper; letters are the lines of subequations.
@@ -10,7 +13,7 @@ NUMBERS = "1 2 3 4 4a 4b 4c 4d 5 5a 5b 5c 6 7 8 9 10 11 11a 11b 11c".split()
 PAGE = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
 TABLE = PAGE[PAGE.index("| equation |") : PAGE.index("## Readings")]
 ROWS = [[cell.strip() for cell in line.split(" | ")] for line in TABLE.splitlines()[2:] if line]
-FUNCTIONS = sorted(set(re.findall(r"\]\[htcp_jax\.([\w.]+)\]", PAGE)))
+FUNCTIONS = sorted(set(re.findall(r"`(htcp_jax\.[\w.]+)`", PAGE)))
 TESTS = sorted(set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", PAGE)))
 CITED = re.compile(r"[Ee]quations? \(?(\d+[a-d]?)\b(?:\)? (?:and|to) \(?(\d+[a-d]?)\b)?")
 OTHER_BOOKS = {"cma_es.py", "test_cma_es.py"}  # these cite the tutorial on CMA-ES
@@ -23,13 +26,18 @@ def test_the_table_has_the_papers_equations_in_their_order():
 def test_every_row_names_a_function_and_a_test():
     assert len(ROWS) > len(NUMBERS)
     for _, _, functions, tests in ROWS:
-        assert "][htcp_jax." in functions and "`test_" in tests
+        assert "`htcp_jax." in functions and "`test_" in tests
 
 
 def test_every_function_of_the_page_exists():
     assert FUNCTIONS
     for name in FUNCTIONS:
-        resolve_name(f"htcp_jax.{name}")
+        resolve_name(name)
+
+
+def test_every_setting_of_the_page_exists():
+    named = set(re.findall(r"`settings\.(\w+)`", PAGE))
+    assert len(named) > 10 and named <= {field.name for field in fields(Settings)}
 
 
 def test_every_test_of_the_page_exists():

@@ -2,13 +2,11 @@
 
 from page_words import MOST, pages, words
 
-LONGER = {"equations.md": 2700}  # a table of all equations
-
 
 def test_no_page_has_more_words_than_a_reader_reads_at_once():
     counted = {page.name: words(page.read_text(encoding="utf-8")) for page in pages()}
     assert len(counted) > 40
-    assert {name: count for name, count in counted.items() if count > LONGER.get(name, MOST)} == {}
+    assert {name: count for name, count in counted.items() if count > MOST} == {}
 
 
 def test_words_of_code_comments_and_generated_parts_are_not_counted():

@@ -83,7 +83,7 @@ def clearances(
 
 
 @jax.jit
-def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
+def minimum_clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
     """Return D(x, O) [m], the smallest distance of all rows; its derivative is that of the smallest row.
 
     This is cheaper than `clearances`.
@@ -97,18 +97,6 @@ def clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Jo
     return _smallest(kinematics.checked_configuration(robot, x), robot, obstacles, where)
 
 
-def minimum_clearance(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Scalar:
-    """Return D(x, O) [m] of `clearance`. This is its name in `htcp_jax`, where `clearance` is the package.
-
-    Args:
-        robot: The robot, with the scenario's tool.
-        obstacles: The obstacles O.
-        where: A scenario, or another `HasWorkpiecePose`.
-        x: The configuration [rad or m].
-    """
-    return clearance(robot, obstacles, where, x)
-
-
 @jax.jit
 def is_clear(
     robot: Robot,
@@ -117,10 +105,10 @@ def is_clear(
     x: Joints,
     margin_m: Float[ArrayLike, ""] = 0.0,
 ) -> Bool[jax.Array, ""]:
-    """Return True if D(x, O) > margin_m, the verdict of `clearance`; cheaper, as the value is not computed.
+    """Return True if D(x, O) > margin_m, the verdict of `minimum_clearance`; cheaper, as the value is not computed.
 
     On a CPU the query ends at the first distance below the margin. If such a distance is within DECIDED_M of the
-    margin, `clearance` decides.
+    margin, `minimum_clearance` decides.
 
     Args:
         robot: The robot, with the scenario's tool.
@@ -153,7 +141,7 @@ def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose,
 
 @jax.jit
 def surely_collides(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Bool[jax.Array, ""]:
-    """Return True if a body certainly touches at x; False if it does not, or if only `clearance` can decide.
+    """Return True if a body certainly touches at x; False if it does not, or if only `minimum_clearance` can.
 
     This is cheaper than `is_clear`, and much shorter code for an arm with pieces: it measures only capsules, with the
     core radius, within which the bodies certainly lie around.

@@ -4,7 +4,7 @@ Such an arm has six hinges: the first axis is perpendicular to the second, the s
 last three meet in the wrist, each perpendicular to the next. The tool's pose determines the wrist's position. Eight
 configurations have the same tool pose: shoulder forward or backward, elbow up or down, wrist flipped or not (Siciliano
 et al., Robotics, section 2.12). Each of these choices is a branch. If the tool's orientation is known up to an angle
-rho, the wrist is in a ball, and in each branch every joint is in an interval (docs/equations.md, section Exclusion).
+rho, the wrist is in a ball, and in each branch every joint is in an interval (docs/bounds.md, section Exclusion).
 These intervals bound the motion of all bodies in the branch, and are compared with the joint limits.
 """
 

@@ -82,7 +82,7 @@ def surely_touches(obstacles: Obstacles, where: HasWorkpiecePose, bodies: SweptC
     """Return True if one of the bodies certainly has less clearance than the margin of `where`.
 
     Each point of a body may be displaced by up to the body's `moves`. Obstacles without such a test are ignored. See
-    docs/equations.md, section Exclusion.
+    docs/bounds.md, section Exclusion.
     """
     bodies, found = bodies._replace(moves=bodies.moves + ROUNDING_M), jnp.zeros((), bool)
     for each in obstacles:
@@ -95,7 +95,7 @@ def tool_collides(
 ) -> Bool[jax.Array, ""]:
     """Return True if the tool, or the link before it, has too little clearance in every configuration of a cell.
 
-    See docs/equations.md, section Exclusion.
+    See docs/bounds.md, section Exclusion.
 
     Args:
         scene: The scene.
@@ -246,7 +246,7 @@ def arm_cell(
     """Return the bounds of a cell of the joints before the wrist: all configurations near x with the TCP on the target.
 
     `collides` is also True if the wrist is too near to the target for the length of the tool, or too far away; see
-    docs/equations.md, section Exclusion.
+    docs/bounds.md, section Exclusion.
 
     Args:
         scene: The scene.

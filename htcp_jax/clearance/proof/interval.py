@@ -63,6 +63,8 @@ def on_interval(
         known: Rows measured before, see `known_rows`; rows that cannot change the result are then not measured. None:
             all rows are measured.
     """
+    if not obstacles:
+        return Interval(jnp.full((), jnp.inf), jnp.full((), jnp.inf), jnp.full((), True)), known
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, sweep)
     rows = [each.rows(robot) for each in obstacles]
     travels = [

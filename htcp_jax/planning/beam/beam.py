@@ -32,7 +32,6 @@ from htcp_jax.motion import (
     Tried,
     ViaPoints,
     lane_inputs,
-    motion_check,
     prove_call,
     step_functions,
     transfers,
@@ -63,10 +62,10 @@ class BeamSearchMethod(Method):
 
     def warm_up(self, problem: Problem) -> WarmUp:
         """Return one call of each lane function; those that continue after dead ends are for hard targets."""
-        one, zero, turns = problem.to_plan[:1], np.zeros(1, int), np.zeros(1, bool)
+        one, zero = problem.to_plan[:1], np.zeros(1, int)
         inputs, x = problem.inputs(one, 0), problem.scenarios.x_start[one]
         moving = problem.with_still_joints(inputs, one, zero)
-        proof = prove_call(problem.task, inputs, x, x, motion_check.tubes(problem, one, zero, turns))
+        proof = prove_call(problem.task, inputs, x, x, problem.tubes(one, zero))
         first = [(step_functions.ADVANCE, inputs, x, x), (EXTEND, moving, x), proof]
         smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, moving, x)]
         if not problem.checkers[0].executor.freedom:

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.clearance import Scene, clearance
+from htcp_jax.clearance import Scene, minimum_clearance
 from htcp_jax.clearance.proof import motion_proof
 from htcp_jax.device import Loop, lane_function
 from htcp_jax.model import kinematics, reanchor
-from htcp_jax.motion import Problem, lane_inputs, motion_check, step_functions
+from htcp_jax.motion import Problem, lane_inputs, step_functions
 from htcp_jax.numerics import fold_keys, null_basis, product, safe_norm
 from htcp_jax.settings import Settings
 from htcp_jax.solvers import solve_step, step_qp
@@ -124,7 +124,7 @@ def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, 
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
         there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
-        D = clearance(robot, scene.obstacles, lane, there)
+        D = minimum_clearance(robot, scene.obstacles, lane, there)
         good = task.is_satisfied(D, residual, lane.margin_m)
         good &= safe_norm(there - x) >= LEAST_STEP * settings.self_motion_step_rad
         here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
@@ -173,7 +173,7 @@ def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs,
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
         there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
-        D = clearance(robot, scene.obstacles, lane, there)
+        D = minimum_clearance(robot, scene.obstacles, lane, there)
         good = task.is_satisfied(D, residual, lane.margin_m)
         good &= safe_norm(end - there) <= safe_norm(end - x) - LEAST_STEP * length
         here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
@@ -219,4 +219,4 @@ def inputs_and_tubes(
         turns: True for the tubes of self-motions, False for those of segments.
     """
     inputs = lane_inputs.lane_inputs(problem.scenarios, scenario, target, seed=problem.settings.seed, round_=draws)
-    return inputs, motion_check.tubes(problem, scenario, target + turns, np.full(len(target), turns))
+    return inputs, problem.tubes(scenario, target + turns, turns=turns)

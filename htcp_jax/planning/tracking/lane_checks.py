@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, motion_check, step_functions
+from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, segment_tubes, step_functions
 from htcp_jax.planning.tracking.lanes import TRACK, Lanes
 
 
@@ -74,5 +74,5 @@ class LaneChecks:
         near = True if most is None else (np.abs(x - lanes.x_previous) <= most).all(axis=1)
         if not (requested and len(x)):
             return np.where(near, np.full(len(x), -1), 0).astype(np.int8)
-        margin_m = motion_check.segment_margins(self._scenarios, lanes.scenario, lanes.target)
+        margin_m = segment_tubes.segment_margins(self._scenarios, lanes.scenario, lanes.target)
         return (near & self._checker.path_clear(self.inputs(lanes), lanes.x_previous, x, margin_m)).astype(np.int8)

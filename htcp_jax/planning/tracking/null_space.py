@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from htcp_jax.backend import backend
-from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearance, clearances, contacts
+from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearances, contacts, minimum_clearance
 from htcp_jax.clearance.obstacles import ContactModel, hold_contacts, predict_distances
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics, reanchor
@@ -87,7 +87,7 @@ def sphere_problem(
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
         if not settings.include_proximal_bodies:
             return jnp.min(clearances(robot, obstacles, where, x) + far) - j1
-        return clearance(robot, obstacles, where, x) - j1
+        return minimum_clearance(robot, obstacles, where, x) - j1
 
     def predicted(w, held):
         value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
@@ -146,7 +146,8 @@ def null_space_objective(
         x_ref: Configuration [rad or m].
         w: Direction in the null space, D = N - 3 numbers.
         settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
-            in the paper; and `include_proximal_bodies`. None: the defaults, with `j1_weight` 0 and therefore J2 = -D.
+            in the paper; and `include_proximal_bodies`. None, or a mapping: the defaults for all other settings, with
+            `j1_weight` 0 and therefore J2 = -D, but the paper's Q, which weighs all joints by 1.
 
     Raises:
         InputError: If x_ref or w has a wrong shape (also for batches), or `q_weights` a wrong length.
@@ -154,7 +155,8 @@ def null_space_objective(
     x_ref = kinematics.checked_configuration(robot, x_ref, "x_ref")
     joints = x_ref.shape[0]
     w = checked_shape(w, (joints - 3,), "w")
-    settings = Settings(q_weights=(1.0,) * joints) if settings is None else settings_of(settings)
+    if not isinstance(settings, Settings):
+        settings = settings_of({"q_weights": (1.0,) * joints} | dict(settings or {}))
     if len(settings.q_weights) != joints:
         raise InputError(
             f"q_weights has {len(settings.q_weights)} values, but the robot {robot.name} has {joints} joints"
@@ -187,7 +189,7 @@ def anchor(
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
     x = jnp.where(task.reached(off), x, anchored)
     return step_functions.State(
-        x, clearance=clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
+        x, clearance=minimum_clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
     )
 
 

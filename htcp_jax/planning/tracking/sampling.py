@@ -34,12 +34,11 @@ Propose = Callable[[Scene, Settings, HasWorkpiecePose, StuckScenario], Candidate
 def cspace_samples(scene: Scene, settings: Settings, where: HasWorkpiecePose, stuck: StuckScenario) -> Candidates:
     """Return configurations sampled about x_{t-1}, the paper's C-Space sample.
 
-    Draws are uniform: within +-1 rad in joint 3, and within +-2 rad in the joints after it. Among 8 * `samples` draws,
-    the first `samples` valid ones are returned. Valid draws are within the joint limits and `max_sample_distance_rad`,
-    and clear.
+    The paper does not state the distribution. Draws are uniform: within +-1 rad in joint 3, and within +-2 rad in the
+    joints after it; the first two, which carry all others, do not move. Among 8 * `samples` draws, the first `samples`
+    valid ones are returned. Valid draws are within the joint limits and `max_sample_distance_rad`, and clear.
     """
     robot, n = scene.robot, scene.robot.dof
-    # As in the paper, the first two joints, which carry all others, do not move; this is also done for other arms.
     width = jnp.asarray([0.0, 0.0, 1.0] + [2.0] * (n - 3))
     draw = jax.random.uniform(stuck.key, (8 * settings.samples, n), minval=-1.0, maxval=1.0)
     x = stuck.x_previous[None, :] + width[None, :] * draw

@@ -1,5 +1,6 @@
 from .along_path import clearance_along, joint_motion, joint_motion_by_joint, manipulability_along, stops, survival
 from .motion_proof import proof_chart
+from .placement import place_map
 from .success import Axis, success, success_line, success_map, success_slices
 
 __all__ = [
@@ -8,6 +9,7 @@ __all__ = [
     "joint_motion",
     "joint_motion_by_joint",
     "manipulability_along",
+    "place_map",
     "proof_chart",
     "stops",
     "success",
