@@ -27,7 +27,7 @@ from htcp_jax.device import Executor, kept_executables
 from htcp_jax.device.executor import COMPILER, ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
 from htcp_jax.errors import InputError
-from htcp_jax.model import duct, kinematics
+from htcp_jax.model import duct, kinematics, mesh_points
 from htcp_jax.model.robot import Robot
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
@@ -320,6 +320,14 @@ def test_a_slow_result_is_stored_for_the_next_process_and_computed_again_if_its_
     assert in_a_new_process() == "stored"
     cache_folder.write(file.name, b"no pickle")
     assert np.array_equal(in_a_new_process(), drawn)
+
+
+def test_the_points_on_a_mesh_are_stored_for_the_next_process(folder):
+    found = mesh_points.cover_mesh(np.array([[[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0]]]), "plate", 0.002)
+    (file,) = files(folder)
+    stored = pickle.loads(cache_folder.read(file.name))
+    assert len(found.points) > 10_000 and np.array_equal(stored.points, found.points)
+    assert stored.radius_m == found.radius_m
 
 
 SCENE = """

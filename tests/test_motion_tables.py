@@ -36,6 +36,54 @@ def table(*header: str, row: str = ROW, separator: str = ",") -> str:
 # --- tables
 
 
+@pytest.mark.parametrize("heading", ["{}", "{}_deg", "{} [deg]", "/arm/{}/position", "axis {}"])
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_joints_name_the_columns_in_the_robot_s_order(heading, is_whole, tmp_path):
+    """By their headings, or by the names in these; velocities are found by the same names."""
+    names = [f"A{k}" for k in range(1, 7)]
+    headings = [heading.format(name) for name in names]
+    rates = [f"{name}_vel" for name in names]
+    text = table("t", *headings, *rates, "E1", row=f"0,{ROW},{ROW},9")
+    given = (headings if is_whole else [each.replace("_deg", "").replace(" [deg]", "") for each in headings])[::-1]
+    found = read_text(tmp_path, "a.csv", text, joints=given)
+    scale = DEG if "deg" in heading else 1
+    np.testing.assert_allclose(found.x, [np.array(X[::-1]) * scale])
+    assert any(each.startswith("Columns that are not used: ") and "E1" in each for each in found.notes)
+    if heading == "{}":
+        np.testing.assert_allclose(found.velocity, [X[::-1]])
+
+
+def test_joints_rename_those_of_messages_and_archives_and_are_refused_without_names(tmp_path):
+    names = [f"A{k}" for k in range(1, 7)]
+    text = json.dumps({"joint_names": names, "points": [{"positions": X}, {"positions": X}]})
+    np.testing.assert_array_equal(read_text(tmp_path, "a.json", text, joints=names[::-1]).x, [X[::-1]] * 2)
+    assert refusal(tmp_path, "a.json", text).endswith("pass --joints A1,A2,A3,A4,A5,A6")
+    assert "--joints names A7" in refusal(tmp_path, "a.json", text, joints=[*names[:5], "A7"])
+    np.savez(tmp_path / "a.npz", x=[X, X], joint_names=names)
+    np.testing.assert_array_equal(read_motion(tmp_path / "a.npz", hinged(), joints=names[::-1]).x, [X[::-1]] * 2)
+    np.savez(tmp_path / "b.npz", x=[X, X])
+    with pytest.raises(InputError, match="has no joint_names"):
+        read_motion(tmp_path / "b.npz", hinged(), joints=names)
+    np.save(tmp_path / "a.npy", [X, X])
+    with pytest.raises(InputError, match="npy has no names of joints"):
+        read_motion(tmp_path / "a.npy", hinged(), joints=names)
+
+
+@pytest.mark.parametrize(
+    ("header", "advice"),
+    [
+        (["time_s", *(f"A{k}" for k in range(1, 7))], "pass --joints A1,A2,A3,A4,A5,A6"),
+        ([f"q {k} [deg]" for k in range(6)], "pass --joints 'q 0,q 1,q 2,q 3,q 4,q 5'"),
+        ([*(f"A{k}_deg" for k in range(6)), *(f"A{k}_deg_s" for k in range(6))], "pass --joints A0,A1,A2,A3,A4,A5"),
+        (["base", "arm", "elbow", "roll", "bend", "turn"], "pass --joints base,arm,elbow,roll,bend,turn"),
+        (["A1", "A2"], "pass --joints with the names of the joints' columns"),
+    ],
+)
+def test_a_table_of_other_names_is_refused_with_the_option_that_reads_it(header, advice, tmp_path):
+    text = table(*header, row=",".join(["0"] * len(header)))
+    assert refusal(tmp_path, "a.csv", text).endswith(advice)
+
+
 @pytest.mark.parametrize(
     ("heading", "scale", "note"),
     [

@@ -392,6 +392,18 @@ def test_rounded_corners_that_leave_less_than_half_of_the_margin_become_exact(pl
     assert (found.proof.clearance_m[rounded - 1] >= 0.05).all()
 
 
+def test_the_proof_of_a_program_says_what_it_does(plans):
+    made, steps = program_of(open_plans(plans / "good"), 0.02), []
+    motion = made.in_file("ls")
+    _, found = prove_with_exact_corners(
+        made, "ls", "WELD", motion, made.files("ls", "WELD", motion), progress=steps.append
+    )
+    proving = [step for step in steps if step.startswith("proving the file's motion: ")]
+    assert steps[0] == "reading the file back" and "building the scene of the proof" in steps
+    first, last = (proving[k].split(": ")[1].split() for k in (0, -1))  # "0 of 120 paths"
+    assert first[0] == "0" and last[0] == last[2] == first[2] and int(last[2]) >= len(found.proof.verdict)
+
+
 def test_a_rapid_program_writes_the_jobs_coupled_axis_as_a_sum_and_the_tcp_of_its_arm(plans, here):
     coupled = "program.coupled={joint3: joint2}"
     for name, words in (("model", ()), ("sums", ("--set", coupled, "--set", "program.tool_name=torch"))):

@@ -15,6 +15,7 @@ from test_json_schemas import fits
 
 from htcp_jax import prove_file
 from htcp_jax.cli import main
+from htcp_jax.motion import start_cause
 from htcp_jax.runs import columns
 from htcp_jax.status import SegmentStatus
 from htcp_jax.viewer import replays_of_file
@@ -83,7 +84,7 @@ def test_a_clear_motion_is_proven_with_a_clearance_that_a_thousand_samples_keep(
 def test_a_collision_is_refuted_with_its_line_body_obstacle_and_depth(proven, tracked, tmp_path):
     code, record, printed = proven(table(tmp_path / "hit.csv", into_the_shelf(tracked)))
     assert code == 1 and record["verdict"] == "refuted"
-    assert printed.startswith("refuted: lines ") and "inside the workpiece" in printed
+    assert printed.startswith("refuted: first contact on lines ") and "inside the workpiece" in printed
     deepest = max(record["unproven"], key=lambda row: row["depth_m"])
     a, b = (into_the_shelf(tracked)[deepest["line_begin"] - 2 + k] for k in (0, 1))
     clearance = toy.measured(toy.scenario(), (a + deepest["deepest_share"] * (b - a))[None])[0][0]
@@ -202,7 +203,7 @@ def test_a_played_file_says_the_verdict_on_its_segments_and_begins_at_its_deepes
     found = prove_file(table(tmp_path / "hit.csv", into_the_shelf(tracked)), job)
     replay = replays_of_file(found).replay(0, "file")
     shown, contact = replay.file, min(found.contacts.values(), key=lambda each: each.clearance_m)
-    assert shown.headline.startswith("refuted: lines ")
+    assert shown.headline.startswith("refuted: first contact on lines ") and "; deepest: lines " in shown.headline
     np.testing.assert_array_equal(replay.x[shown.first], contact.x)
     assert shown.places[0] == "line 2" and shown.segments[0] == "The motion begins here."
     assert "Lines 2 to 3: proven, at least " in shown.segments[1]
@@ -292,9 +293,64 @@ def test_a_job_without_a_part_names_the_fixture_and_is_played(tmp_path, capsys):
     file = table(tmp_path / "turn.csv", [[0, 0.8, 0.7, 0.0], [1.0, 0.8, 0.7, 0.0], [1.6, 0.8, 0.7, 0.0]])
     assert main(["prove", str(file), "--job", str(job), "--out", str(tmp_path / "out")]) == 1
     printed = capsys.readouterr().out
-    assert "inside the fixture 'box'" in printed.splitlines()[0] and "path" not in printed
+    assert "the fixture 'box'" in printed.splitlines()[0] and "path" not in printed
+    assert "inside the fixture 'box'" in printed.splitlines()[1]
     replay = replays_of_file(prove_file(file, job)).replay(0, "file")
     assert len(replay.x) == 4 and replay.clearance[2] <= replay.clearance[3] < 0 < replay.clearance[0]  # 2: deepest
+
+
+def test_a_refuted_motion_names_its_first_contact_and_then_its_deepest_with_another_obstacle(tmp_path, capsys):
+    """The arm turns past a post, into which its tip reaches by 5 mm, and then into a box."""
+    (tmp_path / "arm.xml").write_text(toy.ARM)
+    post = '<body name="post" pos="0.679 0.679 0.618" euler="0 0 45"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    box = '<body name="box" pos="0 0.5 0.55"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{post}{box}</worldbody></mujoco>")
+    job, out = tmp_path / "job.yaml", tmp_path / "out"
+    job.write_text("robot: {model: arm.xml}\ncell: {model: cell.xml}\n")
+    turns = np.array([0.0, 0.6, 1.0, 1.6])
+    file = table(tmp_path / "turn.csv", [[turn, 0.8, 0.7, 0.0] for turn in turns], time_s=[0.0, 1.0, 2.0, 4.0])
+    assert main(["prove", str(file), "--job", str(job), "--out", str(out)]) == 1
+    first_line, second_line = capsys.readouterr().out.splitlines()[:2]
+    record = json.loads((out / "proof.json").read_text())
+    fits("proof", record)
+    first, deepest = record["first_contact"], record["deepest_contact"]
+    assert (first["line_begin"], first["line_end"], first["other"]) == (3, 4, "the fixture 'post'")
+    assert (deepest["line_begin"], deepest["line_end"], deepest["other"]) == (4, 5, "the fixture 'box'")
+    assert first["time_s"] == pytest.approx(1 + first["place_share"]) and first["segment_depth_m"] < 0.006
+    assert first_line.startswith(
+        f"refuted: first contact on lines 3 to 4, {100 * first['place_share']:.0f} % of the way"
+    )
+    assert f"({first['time_s']:.4g} s)" in first_line
+    assert first_line.endswith(
+        f"{first['body']} and the fixture 'post', {1e3 * first['segment_depth_m']:.3g} mm deep on these lines"
+    )
+    assert second_line.startswith("deepest: lines 4 to 5, ")
+    assert second_line.endswith(f"{1e3 * deepest['depth_m']:.3g} mm inside the fixture 'box'")
+    # the motion is clear up to this place, and touches there
+    problem, x = prove_file(file, job).scene.problem, np.tile([0.0, 0.8, 0.7, 0.0], (2001, 1))
+    x[:, 0] = np.linspace(0.0, 0.6 + 0.4 * first["place_share"], 2001)
+    clearance = start_cause.clearances_at(problem, x)
+    assert (clearance[:-1] > 0).all() and clearance[-1] == pytest.approx(0, abs=1e-6)
+
+
+def test_columns_with_other_names_are_proven_by_joints_and_refused_before_the_part_is_read(job, tmp_path, capsys):
+    file, part, out = tmp_path / "foreign.csv", tmp_path / "part.ply", tmp_path / "out"
+    part.write_text("this is no part\n")
+    file.write_text("time_s,A1,A2,A3,A4\n0,0,0,100,30\n1,30,0,100,30\n")
+    words = ["prove", str(file), "--job", str(job), "--unit", "deg", "--out", str(out)]
+    assert main([*words, "--set", f"workpiece.cloud={part}"]) == 2
+    assert capsys.readouterr().err.endswith("pass --joints A1,A2,A3,A4\n")
+    for names, says in (
+        ("A1,A2,A3", "--joints has 3 names: A1, A2, A3; toy has 4 joints: j1, j2, j3, j4"),
+        ("A1,A2,A3,A5", "no column is named A5, as --joints requires"),
+        ("A1,A2,A3,A3", "--joints has 'A3' 2 times"),
+    ):
+        assert main([*words, "--joints", names]) == 2
+        printed = capsys.readouterr()
+        assert says in printed.err and printed.err.count("\n") == 1 and not out.exists()
+    assert main([*words, "--joints", "A1,A2,A3,A4"]) == 0
+    found = prove_file(file, job, unit="deg", joints=["A1", "A2", "A3", "A4"])
+    np.testing.assert_allclose(found.motion.x[1], np.radians([30, 0, 100, 30]))
 
 
 def test_the_command_keeps_its_compiled_programs():

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from htcp_jax.cli.main import main
 from htcp_jax.jobs import load_sweep_or_job
 from htcp_jax.reachability import tool_clearances
+from htcp_jax.reachability.tool_clearance import TURNS_RAD
 
 CONE_DEG, REACH_M = 0.5, 0.25  # half angle of the cone; length of the tool
 UPWARDS = {"axis": "tcp.z", "towards": [0.0, 0.0, 1.0], "cone_deg": CONE_DEG}  # to the shelf
@@ -68,6 +69,13 @@ def test_within_a_narrow_cone_the_clearance_is_that_of_its_axis_and_a_longer_tip
     more = found.clearance_m[0] - brute_force(*job[:3], spins)
     assert (more > -2e-4).all() and (more < np.deg2rad(CONE_DEG) * REACH_M).all()
     np.testing.assert_allclose(np.diff(found.clearance_m, axis=0), LONGER_M[1], atol=2e-3)
+
+
+def test_the_check_says_how_many_of_its_rounds_are_done(tmp_path):
+    steps = []
+    tool_clearances(*one_job(tmp_path), LONGER_M, lambda done, count: steps.append((done, count)))
+    count = 1 + len(TURNS_RAD) * len(LONGER_M)
+    assert steps == [(done, count) for done in range(count)]
 
 
 def test_a_row_about_another_link_is_named_and_not_considered(tmp_path):

@@ -11,7 +11,7 @@ from typing import Any
 from htcp_jax.caching import cache_folder
 
 SLOW_S = 2e-4  # results that take longer to compute are stored in the cache folder, too; reading one takes as long
-LARGEST = cache_folder.MOST_BYTES // 16  # maximum size of a stored result
+LARGEST = cache_folder.MOST_BYTES // 8  # maximum size of a stored result: a cloud of 3 million points has 120 MB
 _MISSING = object()
 
 

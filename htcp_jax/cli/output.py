@@ -172,11 +172,11 @@ def progress_bar(
 
 
 @contextmanager
-def progress_text(text: str) -> Iterator[None]:
-    """Show a text and the elapsed time until the block ends, for work whose steps are not counted."""
+def progress_text(text: str) -> Iterator[Callable[[str], None]]:
+    """Show a text and the elapsed time until the block ends. Yield the function that changes the text."""
     with progress_bars(TextColumn("{task.description}"), ElapsedColumn()) as bars:
-        bars.add_task(text, total=None)
-        yield
+        task = bars.add_task(text, total=None)
+        yield lambda changed: bars.update(task, description=changed)
 
 
 def width() -> int:

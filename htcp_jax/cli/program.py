@@ -13,7 +13,7 @@ from rich.text import Text
 
 from htcp_jax.cli.feed import Feed, OneWay, ProgramKeys
 from htcp_jax.cli.methods import RunMethod
-from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, stdout
+from htcp_jax.cli.output import Json, print_facts, print_json, print_table, progress_bar, progress_text, stdout
 from htcp_jax.cli.program_file import (
     check_deviation,
     deviation_facts,
@@ -171,15 +171,18 @@ def program(
     in_file = _limits_in_file(limits, plans.config)
     changes = [*in_file.overrides, *(overrides or ())]
     feed_m_s = requested_feeds(feed, with_program(plans.config, changes))
-    made = program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
-    if in_file.stated is not None:
-        check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
-    _print_note(in_file)
-    file, is_chosen = made.in_file(format, step_s, most), step_ms is not None or max_points is not None
-    deviation = deviations(made.robot, made.program, file)
-    files = made.files(format, out.stem, file)
-    check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
-    files, proof = prove_with_exact_corners(made, format, out.stem, file, files)
+    with progress_text("building the scene and timing the motion") as show:
+        made = program_of(plans, feed_m_s, method, scenario, retract=not one_way, overrides=changes)
+        if in_file.stated is not None:
+            check_ranges(in_file.stated, made.robot, made.program.motion, str(run))
+        _print_note(in_file)
+        show("choosing the file's configurations")
+        file, is_chosen = made.in_file(format, step_s, most), step_ms is not None or max_points is not None
+        show(f"measuring the deviation of {len(file.timed.x):,} configurations")
+        deviation = deviations(made.robot, made.program, file)
+        files = made.files(format, out.stem, file)
+        check_deviation(made, format, file, deviation, is_chosen=is_chosen, is_allowed=allow_deviation)
+        files, proof = prove_with_exact_corners(made, format, out.stem, file, files, progress=show)
     if proof.is_refuted:
         print(f"htcp: {refusal(proof)}; nothing is written", file=sys.stderr)
         return REFUTED

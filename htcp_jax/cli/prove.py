@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from htcp_jax.cli.motion_options import Format, Interpolation, Unit
+from htcp_jax.cli.motion_options import Format, Interpolation, Joints, Unit, joint_names
 from htcp_jax.cli.output import (
     Device,
     Json,
@@ -65,6 +65,7 @@ def prove(
     job: Job,
     format: Format = None,
     unit: Unit = None,
+    joints: Joints = None,
     interpolation: Interpolation = None,
     margin: Margin = None,
     tracking: Tracking = None,
@@ -91,6 +92,7 @@ def prove(
     Examples:
       htcp prove program.mod --job cell.yaml
       htcp prove trajectory.csv --job cell.yaml --unit deg --margin 1mm
+      htcp prove trajectory.csv --job cell.yaml --joints J1,J2,J3,J4,J5,J6
       htcp prove trajectory.yaml --job cell.yaml --tracking 0.1deg --out out/proof
       htcp prove trajectory.csv --job cell.yaml --errors errors.yaml
     """
@@ -110,6 +112,7 @@ def prove(
                 job,
                 format=format,
                 unit=unit,
+                joints=joint_names(joints),
                 interpolation=interpolation,
                 overrides=overrides or (),
                 margin_m=margin_m,
@@ -147,6 +150,8 @@ def _tracking(text: str | None) -> tuple[float, float | None]:
 def _print_proof(found: FileProof, out: Path, seconds: float) -> None:
     text = proof_record.headline(found)
     stdout().print(Text.assemble((found.verdict, STYLES[found.verdict]), text.removeprefix(found.verdict)))
+    if deepest := proof_record.second_line(found):
+        stdout().print(Text(deepest))
     if found.violated:
         names = ", ".join(f"{use.quantity} of {use.joint}" for use in found.violated)
         stdout().print(Text.assemble(("limit violated", "bold red"), f": {names}"))

@@ -34,11 +34,11 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
     spec = load_sweep_or_job(file, None, overrides)
     if not spec.alone:
         raise InputError(f"{file} is a sweep; htcp tool checks one job")
-    batch = spec.batch(None)
-    names, found, covers = reach_study.seam_names(batch) or [spec.name], [], []
-    with progress_bar("seams") as progress:
+    found, covers = [], []
+    with progress_bar("seams", first="building the part") as progress:
+        batch = spec.batch(None)
+        names = reach_study.seam_names(batch) or [spec.name]
         for row, number in enumerate(batch.cell):
-            progress(row, len(names))
             cell, scenario = batch.cells[number], jax.tree.map(itemgetter(row), batch.scenarios)
             longer_m = 1e-3 * np.array(LONGER_MM, float)
             if not len(cell.workpiece.cloud):
@@ -46,8 +46,12 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
                     f"{file}: workpiece.cloud is none; without a part there is nothing that the tool clears"
                 )
             scenario = scenario_functions.with_goals_of(scenario, cell.task.numbers)
+
+            def show(done: int, count: int, row: int = row) -> None:
+                progress(row, len(names), f"; {names[row]}: {done} of {count} rounds")
+
             own = cell.robot, cell.workpiece, scenario, cell.settings, cell.task
-            found.append(tool_clearances(*own, longer_m))
+            found.append(tool_clearances(*own, longer_m, show))
             covers.append(cell.workpiece.covering_radius_m)
     if as_json:
         print_json({"job": spec.name, "seams": [_record(*each) for each in zip(names, found, strict=True)]})

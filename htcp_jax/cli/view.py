@@ -4,7 +4,7 @@ import importlib.util
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
@@ -12,7 +12,7 @@ from rich.text import Text
 from htcp_jax.cli.feed import OneWay, PlayedFeed, played_feed
 from htcp_jax.cli.heartbeat import HEARTBEAT
 from htcp_jax.cli.methods import complete_method
-from htcp_jax.cli.motion_options import Format, Interpolation, Unit
+from htcp_jax.cli.motion_options import Format, Interpolation, Joints, Unit, joint_names
 from htcp_jax.cli.output import Overrides, Seed, progress_bar, progress_text, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
 from htcp_jax.errors import InputError, Interrupted
@@ -61,16 +61,17 @@ def view(
     one_way: OneWay = False,
     format: Format = None,
     unit: Unit = None,
+    joints: Joints = None,
     interpolation: Interpolation = None,
 ) -> int:
     """Show plans in the browser: the arm with its capsules, the workpiece, targets, clearance.
 
     Failed scenarios of a run are listed first. A job is planned before it is shown. With --feed, the timed motion
     of htcp program is played in real time, with TCP and joint speeds; --set then changes keys of the job's section
-    program. With --job, the motion of a file is proven as by htcp prove, with its options --format, --unit and
-    --interpolation, and played. The space bar plays and pauses, the left and right arrow keys step. Only this machine
-    can connect; pass --host 0.0.0.0 to let other machines connect, with the token in the printed address. Install the
-    extra "view". Writes no files.
+    program. With --job, the motion of a file is proven as by htcp prove, with its options --format, --unit, --joints
+    and --interpolation, and played. The space bar plays and pauses, the left and right arrow keys step. Only this
+    machine can connect; pass --host 0.0.0.0 to let other machines connect, with the token in the printed address.
+    Install the extra "view". Writes no files.
 
     Exit codes: 130 after Ctrl-C, 2 on bad input.
 
@@ -87,10 +88,11 @@ def view(
     if importlib.util.find_spec("viser") is None:
         raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
     feed_m_s = played_feed(feed, one_way=one_way)
-    text, how = "", {"format": format, "unit": unit, "interpolation": interpolation}
+    text, how = "", {"format": format, "unit": unit, "joints": joints, "interpolation": interpolation}
     if job is not None:
         if what is None or feed_m_s or method is not None or scenario is not None:
             raise InputError("--job plays a FILE; --feed, --method and --scenario do not apply to it")
+        how |= {"joints": joint_names(joints)}
         (replays, text), programs = _replays_of_file(what, job, seeded(overrides or (), seed), how), None
     elif given := [name for name, value in how.items() if value is not None]:
         raise InputError(f"--{given[0]} is an option of files; pass --job, too")
@@ -114,9 +116,7 @@ def view(
     return 0
 
 
-def _replays_of_file(
-    file: Path, job: Path, overrides: Sequence[str], how: Mapping[str, str | None]
-) -> tuple[Replays, str]:
+def _replays_of_file(file: Path, job: Path, overrides: Sequence[str], how: Mapping[str, Any]) -> tuple[Replays, str]:
     """Prove a file's motion, and return its replays and the verdict as one line."""
     from htcp_jax.proving import proof_record, prove_file
     from htcp_jax.viewer import replays_of_file
@@ -126,7 +126,7 @@ def _replays_of_file(
             file, job, overrides=overrides, progress=lambda what, done, count: progress(done, count), **how
         )
         replays = replays_of_file(found)
-    return replays, proof_record.headline(found)
+    return replays, "\n".join(filter(None, (proof_record.headline(found), proof_record.second_line(found))))
 
 
 def _replays_and_programs(

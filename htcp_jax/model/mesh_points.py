@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
 from htcp_jax.model import kinematics
 from htcp_jax.model.robot import Robot, capsule_label
@@ -89,6 +90,7 @@ def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Col
     return NearbyBody(capsule_label(robot, robot.capsule_names[int(radius.argmin())]), float(radius.min()))
 
 
+@cached_by_values(2)
 def cover_mesh(
     triangles: Triangles, source: str, spacing: float | None = None, body: NearbyBody | None = None
 ) -> PointCover:

@@ -33,10 +33,10 @@ from htcp_jax.proving.path_deviation import (
 )
 from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
 from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
-from htcp_jax.proving.scene import Cell, ProofScene, scene_of
+from htcp_jax.proving.scene import Cell, ProofScene, build_scene, inputs_of
 from htcp_jax.proving.seam_proofs import SeamProof, SeamSegments, seam_segments
 from htcp_jax.proving.stated_errors import Errors, error_set, read_errors
-from htcp_jax.proving.worst import Contact, deepest_contacts
+from htcp_jax.proving.worst import Contact, deepest_contacts, first_contact
 from htcp_jax.spec import ErrorsConfig, ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
 
@@ -67,6 +67,8 @@ class FileProof:
     errors: ErrorsConfig | None = None  # errors of which the largest proven scale is stated; None: none
     error_scale: ErrorScale | None = None  # it; None: no errors, or the motion is not proven
     seam_segments: SeamSegments | None = None  # seams of the segments; None: one seam, or no joint values
+    # where a refuted motion first collides or, if it never does, is first below the margin; None: it is not refuted
+    first: Contact | None = None
 
     @property
     def seams(self) -> tuple[SeamProof, ...]:
@@ -120,6 +122,7 @@ def prove_file(
     *,
     format: str | None = None,
     unit: str | None = None,
+    joints: Sequence[str] = (),
     interpolation: str | None = None,
     obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
     task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
@@ -139,6 +142,7 @@ def prove_file(
         cell: A robot, or a job: a file, the name of an example, a mapping; None: the default job.
         format: Name of the format; None: by the file's ending and content.
         unit: Unit of angles, "deg" or "rad"; None: as the file or its format states.
+        joints: Names in the file of the robot's joints, in the order of `robot.joint_names`; empty: the robot's names.
         interpolation: "linear", "cubic" or "quintic"; None: as the format's controller interpolates.
         obstacles: Obstacles in addition to the job's.
         task: Task rows that replace the job's.
@@ -164,11 +168,17 @@ def prove_file(
     least_m = 0.0 if margin_m is None else margin_m
     check_margin(least_m)
     stated = None if errors is None else read_errors(errors)
-    scene = scene_of(cell, overrides, obstacles=obstacles, task=task, device=device)
-    problem, job = scene.problem, scene.job
-    data = () if job is None else (controller_of(job, problem.robot, of_model=format in (None, "keyframes")),)
-    found = read_motion(file, problem.robot, *data, format=format, unit=unit, interpolation=interpolation)
-    lag = _tracking(problem.robot, tracking_rad, tracking_m)
+    inputs = inputs_of(cell, overrides, obstacles=obstacles, task=task, device=device)
+    job, robot = inputs.job, inputs.robot
+    # The file is read first, as building the scene can take minutes.
+    data = () if job is None else (controller_of(job, robot, of_model=format in (None, "keyframes")),)
+    how = {"format": format, "unit": unit, "interpolation": interpolation, "joints": joints}
+    found = read_motion(file, robot, *data, **how)
+    if found.poses is None and len(found.x) < 2:
+        raise InputError(f"{file} has one configuration; a motion has two or more")
+    lag = _tracking(robot, tracking_rad, tracking_m)
+    scene = build_scene(inputs, device)
+    problem = scene.problem
     stated = job.errors if stated is None and job is not None else stated
     numbers = None if stated is None else error_set(problem, job, stated)
     about = {
@@ -187,8 +197,6 @@ def prove_file(
             return FileProof(
                 **about, curves=None, proof=None, contacts={}, limits=(), deviation=deviation, seconds=seconds
             )
-        if len(found.x) < 2:
-            raise InputError(f"{file} has one configuration; a motion has two or more")
         curves = motion_curves(problem, found)
         by_seam = seam_segments(scene, found, margin_m)
         margins = least_m if by_seam is None else np.maximum(by_seam.required_m, least_m)
@@ -216,21 +224,37 @@ def prove_file(
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
         # Of a proven motion, the bodies at its guaranteed clearance are named.
         smallest = [int(proof.clearance_m.argmin())] if proof.proven and np.isfinite(proof.guaranteed_m) else []
-        chosen = smallest or np.sort(unproven[:MOST_CONTACTS]).tolist()
+        start = _first_refuted(proof)
+        chosen = smallest or sorted({*unproven[:MOST_CONTACTS].tolist(), *([] if start is None else [start])})
         contacts = deepest_contacts(problem, curves, chosen, lambda done, count: progress("contacts", done, count))
+        contacts_by = {each.segment: each for each in contacts}
+        first = None
+        if start is not None:
+            required = float(np.broadcast_to(margins, len(proof.verdict))[start])
+            limit_m = 0.0 if proof.verdict[start] == SegmentStatus.IN_COLLISION else required
+            first = first_contact(problem, curves, start, limit_m) or contacts_by[start]
         limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(
         **about,
         curves=curves,
         proof=proof,
-        contacts={each.segment: each for each in contacts},
+        contacts=contacts_by,
         limits=limits,
         deviation=deviation,
         seconds=time.perf_counter() - began,
         error_scale=scale,
         seam_segments=by_seam,
+        first=first,
     )
+
+
+def _first_refuted(proof: MotionProof) -> int | None:
+    """Return the first segment in collision or, if there is none, below the margin; None without such segments."""
+    for status in (SegmentStatus.IN_COLLISION, SegmentStatus.BELOW_MARGIN):
+        if (proof.verdict == status).any():
+            return int((proof.verdict == status).argmax())
+    return None
 
 
 def _tracking(robot: Robot, tracking_rad: float | Sequence[float], tracking_m: float | None) -> Float[np.ndarray, "N"]:

@@ -1,7 +1,7 @@
 """Proof of the files that `htcp program` writes: they are read back by the readers of other programs, and proven."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from htcp_jax.trajectory import FileMotion, PlanProgram, ProgramFile
 
 ROUNDS = 4  # maximum number of times that corners are made exact
 SHARE = 0.5  # share of the job's margin that a rounded corner must leave
+Progress = Callable[[str], None]
 
 
 class ProgramProof(NamedTuple):
@@ -47,7 +48,11 @@ class ProgramProof(NamedTuple):
 
 
 def prove_program(
-    made: PlanProgram, format: str, files: Sequence[ProgramFile], device: str | None = None
+    made: PlanProgram,
+    format: str,
+    files: Sequence[ProgramFile],
+    device: str | None = None,
+    progress: Progress = lambda text: None,
 ) -> ProgramProof:
     """Prove or refute that the motion in a program's files is clear, as the controller runs it.
 
@@ -56,18 +61,28 @@ def prove_program(
         format: Name of the format in `trajectory.FORMATS`.
         files: The texts of its files.
         device: The device; None: a GPU if there is one.
+        progress: Function that is called with the current step as text.
 
     Raises:
         InputError: If a file cannot be read back.
     """
     began = time.perf_counter()
+    progress("reading the file back")
     motion = read_back(made, format, files)
     if motion.poses is not None or len(motion.x) < 2:
         return ProgramProof(motion, None, None, time.perf_counter() - began)
+    progress("building the scene of the proof")
     problem = scene_of(made.job, device=device).problem
     with devices.on(problem.devices[0]):
         curves = motion_curves(problem, motion)
-        proof = tighten(problem, curves, prove_curves(problem, curves))
+        progress(f"proving the file's motion: 0 of {len(curves.segment):,} paths")
+        proof = prove_curves(
+            problem,
+            curves,
+            progress=lambda done, count: progress(f"proving the file's motion: {done:,} of {count:,} paths"),
+        )
+        progress("proving the guaranteed clearance more tightly")
+        proof = tighten(problem, curves, proof)
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         refuted = unproven[proof.verdict[unproven] != SegmentStatus.UNDECIDED]
         first = (refuted if len(refuted) else unproven)[:1].tolist()
@@ -82,6 +97,7 @@ def prove_with_exact_corners(
     file: FileMotion,
     files: Sequence[ProgramFile],
     device: str | None = None,
+    progress: Progress = lambda text: None,
 ) -> tuple[list[ProgramFile], ProgramProof]:
     """Return a program's files and their proof; corners that need it are exact instead of rounded.
 
@@ -95,11 +111,12 @@ def prove_with_exact_corners(
         file: The configurations, see `PlanProgram.in_file`.
         files: The files of these configurations, see `PlanProgram.files`.
         device: The device; None: a GPU if there is one.
+        progress: Function that is called with the current step as text.
 
     Raises:
         InputError: If `PlanProgram.files` or `prove_program` raises it.
     """
-    files, found = list(files), prove_program(made, format, files, device)
+    files, found = list(files), prove_program(made, format, files, device, progress)
     for _ in range(ROUNDS):
         if not len(corners := _corners_to_make_exact(made, found)):
             break
@@ -107,7 +124,7 @@ def prove_with_exact_corners(
         blended[corners] = 0.0
         file = file._replace(timed=file.timed._replace(blended=blended))
         files = made.files(format, name, file)
-        found = prove_program(made, format, files, device)
+        found = prove_program(made, format, files, device, progress)
     return files, found
 
 

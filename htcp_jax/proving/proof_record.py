@@ -11,6 +11,7 @@ from htcp_jax.io import arrays
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
 from htcp_jax.proving.stated_errors import errors_record, scale_text
+from htcp_jax.proving.worst import Contact
 from htcp_jax.runs import columns, provenance
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import files, output_files
@@ -114,7 +115,7 @@ def lines_of(found: FileProof, first: int, last: int | None = None) -> str:
 
 
 def headline(found: FileProof) -> str:
-    """Return the verdict and its reason as one line."""
+    """Return the verdict and its reason as one line: of a refuted motion the first contact."""
     if found.proof is None:
         count = len(found.motion.line)
         return f"not proven: the file has {count} poses; the motion between them is the controller's own"
@@ -129,11 +130,31 @@ def headline(found: FileProof) -> str:
         if off is None or off.distance_m <= off.tolerance_m:
             return text
         return f"{text}; but the TCP is {mm_text(off.distance_m)} off the path ({mm_text(off.tolerance_m)} allowed)"
+    if (first := found.first) is not None:
+        is_hit = found.proof.verdict[first.segment] == SegmentStatus.IN_COLLISION
+        what = "first contact" if is_hit else "first below the margin"
+        text = f"{found.verdict}: {what} on {_where(found, first.segment, first.place)}: {first.body} and {first.other}"
+        deepest = found.contacts[first.segment]
+        if first.segment == decisive_segment(found):
+            return text
+        if (deepest.body, deepest.other) != (first.body, first.other) or deepest.clearance_m > 0:
+            return f"{text}; on these {found.counted}s {_contact_text(found, first.segment)}"
+        return f"{text}, {deepest.depth} deep on these {found.counted}s"
     group = unproven_groups(found)[0]
     if group.deepest is None:
         return f"{found.verdict}: {lines_of(found, group.first, group.last)}"
-    where = _where(found, group.deepest, found.contacts[group.deepest].place)
-    return f"{found.verdict}: {where}: {_contact_text(found, group.deepest)}"
+    return f"{found.verdict}: {_deepest_text(found, group.deepest)}"
+
+
+def second_line(found: FileProof) -> str:
+    """Return the deepest contact of a refuted motion as one line; "" for other motions."""
+    if found.first is None or (k := decisive_segment(found)) is None:
+        return ""
+    return f"{'deepest' if found.contacts[k].clearance_m <= 0 else 'nearest'}: {_deepest_text(found, k)}"
+
+
+def _deepest_text(found: FileProof, segment: int) -> str:
+    return f"{_where(found, segment, found.contacts[segment].place)}: {_contact_text(found, segment)}"
 
 
 def decisive_segment(found: FileProof) -> int | None:
@@ -212,6 +233,8 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "segments_by_verdict": counts(found),
         "clearance_m": _finite(found.guaranteed_m),
         "clearance_segment": least,
+        "first_contact": _contact_record(found, found.first),
+        "deepest_contact": _contact_record(found, None if found.first is None else _deepest(found)),
         "unproven": [row for row in rows if row["verdict"] != SegmentStatus.VALID.name],
         "limits": [use._asdict() for use in found.limits],
         "limits_violated": bool(found.violated),
@@ -221,6 +244,22 @@ def record_of(found: FileProof) -> dict[str, Any]:
         "queries": 0 if proof is None else int(proof.queries.sum()),
         "seconds": found.seconds,
     }
+
+
+def _deepest(found: FileProof) -> Contact | None:
+    k = decisive_segment(found)
+    return None if k is None else found.contacts.get(k)
+
+
+def _contact_record(found: FileProof, contact: Contact | None) -> dict[str, Any] | None:
+    """Return a contact, and the depth of the deepest one on its segment, as values for JSON."""
+    if contact is None:
+        return None
+    k, line = contact.segment, found.motion.line
+    where = {"segment": k, "line_begin": int(line[k]), "line_end": int(line[k + 1])}
+    where |= {"place_share": contact.place, "time_s": found.time_at(k, contact.place)}
+    bodies = {"body": contact.body, "other": contact.other}
+    return where | bodies | {"depth_m": -contact.clearance_m, "segment_depth_m": -found.contacts[k].clearance_m}
 
 
 def _deviation_record(found: FileProof) -> dict[str, Any] | None:

@@ -196,7 +196,7 @@ def tighten(
     queries[loose] += again.queries
     for _ in range(motion_check.RAISED):
         k = int(clearance.argmin())
-        more = _raised(problem, curves.of_segments(np.array([k])), margin_m)
+        more = _raised(problem, curves.of_segments(np.array([k])), float(np.max(_margins_at(margin_m, np.array([k])))))
         if not more > motion_check.GAIN * clearance[k]:
             break
         clearance[k] = more

@@ -25,6 +25,15 @@ from htcp_jax.spec import ObstacleKind, PlanConfig, TaskRowKind, numbers_of
 Cell = Robot | PlanConfig | str | Path | Mapping[str, Any] | None
 
 
+class ProofInputs(NamedTuple):
+    """The robot, the job and the obstacles of a scene that is not built yet."""
+
+    robot: Robot
+    job: PlanConfig | None  # the job, resolved; None: the scene is made from a robot
+    others: tuple[Obstacle | ObstacleKind, ...]  # obstacles in addition to the part's and the job's
+    has_part: bool  # False: no workpiece, and no path
+
+
 class ProofScene(NamedTuple):
     """Scene of proofs."""
 
@@ -66,26 +75,26 @@ def scene_of(
     Raises:
         InputError: If the input is invalid.
     """
-    first = devices.choose(device)[0]
-    with devices.on(first):
-        found = _scene(cell, overrides, obstacles, task, device)
-    if "not checked" in found.checked:
-        warnings.warn(f"not checked: {found.checked['not checked']}", stacklevel=1)
-    return found
+    return build_scene(inputs_of(cell, overrides, obstacles=obstacles, task=task, device=device), device)
 
 
-def _scene(
-    cell: Cell,
-    overrides: Sequence[str] | Mapping[str, Any],
-    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]],
-    task: Sequence[TaskRowKind | Mapping[str, Any]] | None,
-    device: str | None,
-) -> ProofScene:
-    """Return the scene, see `scene_of`."""
+def inputs_of(
+    cell: Cell = None,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    obstacles: Sequence[Obstacle | ObstacleKind | Mapping[str, Any]] = (),
+    task: Sequence[TaskRowKind | Mapping[str, Any]] | None = None,
+    device: str | None = None,
+) -> ProofInputs:
+    """Return the robot and the job of a scene, without the part and the cell, which take longest; see `scene_of`.
+
+    Raises:
+        InputError: If the job or its robot is invalid.
+    """
     if isinstance(cell, Robot):
         if overrides or task is not None:
             raise InputError("overrides and task rows change a job; pass a job in place of the robot")
-        return ProofScene(_without_part(cell, obstacles, None, device), None, False)
+        return ProofInputs(cell, None, tuple(obstacles), False)
     built = tuple(each for each in obstacles if isinstance(each, Obstacle))
     kinds = [each for each in obstacles if not isinstance(each, Obstacle)]
     is_loaded = isinstance(cell, PlanConfig)
@@ -94,11 +103,38 @@ def _scene(
     job = job.model_copy(update={"settings": job.settings.on(devices.choose(device)[0].platform)})
     if job.start_rad == ():
         job = job.model_copy(update={"start_rad": "auto"})
-    job, robot = jobs.build.with_robot(job, source)
-    others = (*jobs.build.obstacles_of(job.cell, robot), *built)
+    with devices.on(devices.choose(device)[0]):
+        job, robot = jobs.build.with_robot(job, source)
     stated = job.model_fields_set
     has_path = job.workpiece.has_cloud or "path" in job.workpiece.model_fields_set
-    if has_path and (is_loaded or "workpiece" in stated or not stated & {"robot", "cell"}):
+    has_part = has_path and (is_loaded or "workpiece" in stated or not stated & {"robot", "cell"})
+    return ProofInputs(robot, job, built, has_part)
+
+
+def build_scene(inputs: ProofInputs, device: str | None = None) -> ProofScene:
+    """Return the scene of a robot and a job, see `scene_of`.
+
+    Args:
+        inputs: The robot, the job and the obstacles.
+        device: The device, see `device.devices`. None: a GPU if there is one.
+
+    Raises:
+        InputError: If the part is invalid.
+    """
+    with devices.on(devices.choose(device)[0]):
+        found = _scene(inputs, device)
+    if "not checked" in found.checked:
+        warnings.warn(f"not checked: {found.checked['not checked']}", stacklevel=1)
+    return found
+
+
+def _scene(inputs: ProofInputs, device: str | None) -> ProofScene:
+    """Return the scene, see `build_scene`."""
+    robot, job, others, has_part = inputs
+    if job is None:
+        return ProofScene(_without_part(robot, others, None, device), None, False)
+    others = (*jobs.build.obstacles_of(job.cell, robot), *others)
+    if has_part:
         workpiece = jobs.build.workpiece_of(job.workpiece, robot)
         there = jobs.build.scenario_of(job, robot, workpiece, beyond_reach="record")
         own_task, execution = jobs.build.task_of_job(job, robot), Execution(device)

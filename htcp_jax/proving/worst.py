@@ -1,4 +1,4 @@
-"""The deepest contact found on a segment of a refuted motion: its place, its body and its obstacle."""
+"""The first and the deepest contact found on a segment of a refuted motion: place, body and obstacle."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ ROUNDS = 4  # times that the neighbourhood of the deepest one is measured again
 
 
 class Contact(NamedTuple):
-    """Configuration with the smallest clearance that was found on a segment."""
+    """Configuration with the smallest clearance that was found on a segment, or the first one in collision."""
 
     segment: int
     place: float  # share of the segment [1]
@@ -65,10 +65,7 @@ def deepest_contacts(
             raise ValueError(f"no path belongs to segment {segment}")
         low, high, best = np.zeros(len(rows)), np.ones(len(rows)), None
         for _ in range(ROUNDS):
-            s = np.linspace(low, high, PLACES)  # (PLACES, rows)
-            powers = s[..., None] ** np.arange(curves.coefficients.shape[1])
-            x = np.einsum("prk,rkn->prn", powers, curves.coefficients[rows])
-            clearance = start_cause.clearances_at(problem, x.reshape(-1, x.shape[2])).reshape(s.shape)
+            s, x, clearance = _measured(problem, curves, rows, low, high)
             k, row = map(int, np.unravel_index(clearance.argmin(), s.shape))
             if best is None or clearance[k, row] < best[0]:
                 begin, end = curves.span[rows[row]]
@@ -76,8 +73,46 @@ def deepest_contacts(
             least, each = clearance.argmin(axis=0), np.arange(len(rows))
             low, high = s[np.maximum(least - 1, 0), each], s[np.minimum(least + 1, PLACES - 1), each]
         clearance_m, place, at = best
-        bodies = start_cause.closest_bodies(problem, at)
-        names = bodies.body, bodies.other
-        found.append(Contact(int(segment), place, at, *names, clearance_m, problem.robot.pieces is not None))
+        found.append(_contact(problem, segment, place, at, clearance_m))
         progress(len(found), len(segments))
     return found
+
+
+def first_contact(problem: Problem, curves: JointCurves, segment: int, limit_m: float = 0.0) -> Contact | None:
+    """Return the first configuration on a segment with a clearance of at most a limit, by samples.
+
+    Args:
+        problem: The problem, see `scene.scene_of`.
+        curves: The joint paths.
+        segment: Number of the segment.
+        limit_m: The clearance [m]; 0: the first contact.
+
+    Returns:
+        The configuration; None if no sample has so small a clearance.
+    """
+    rows, low, high, found = np.flatnonzero(curves.segment == segment), 0.0, 1.0, None
+    for _ in range(ROUNDS):
+        s, x, clearance = _measured(problem, curves, rows, np.full(len(rows), low), np.full(len(rows), high))
+        begin, end = curves.span[rows].T
+        place = np.where(clearance <= limit_m, begin + s * (end - begin), np.inf)
+        k, row = map(int, np.unravel_index(place.argmin(), s.shape))
+        if not np.isfinite(place[k, row]):
+            break
+        found = float(place[k, row]), x[k, row], float(clearance[k, row])
+        rows, low, high = rows[row : row + 1], float(s[max(k - 1, 0), row]), float(s[k, row])
+    return None if found is None else _contact(problem, segment, *found)
+
+
+def _measured(
+    problem: Problem, curves: JointCurves, rows: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return PLACES parameters s between `low` and `high` on each path, the configurations there, and their D [m]."""
+    s = np.linspace(low, high, PLACES)  # (PLACES, rows)
+    powers = s[..., None] ** np.arange(curves.coefficients.shape[1])
+    x = np.einsum("prk,rkn->prn", powers, curves.coefficients[rows])
+    return s, x, start_cause.clearances_at(problem, x.reshape(-1, x.shape[2])).reshape(s.shape)
+
+
+def _contact(problem: Problem, segment: int, place: float, x: np.ndarray, clearance_m: float) -> Contact:
+    bodies = start_cause.closest_bodies(problem, x)
+    return Contact(int(segment), place, x, bodies.body, bodies.other, clearance_m, problem.robot.pieces is not None)

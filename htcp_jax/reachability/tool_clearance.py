@@ -6,6 +6,7 @@ clearance are then improved by random turns, and tried at neighbouring targets. 
 alone, and often does worse.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -55,6 +56,7 @@ def tool_clearances(
     settings: Settings,
     task: Task,
     longer_m: Float[np.ndarray, "E"],
+    progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> ToolClearance:
     """Return the clearance between the bodies of the link that carries the TCP and the part, at each target.
 
@@ -65,12 +67,15 @@ def tool_clearances(
         settings: Settings.
         task: The constraints at the targets.
         longer_m: Additional lengths of the bare tip, by which the TCP moves along its z axis away from all bodies [m].
+        progress: Function that is called with the numbers of finished rounds, and of all rounds.
 
     Raises:
         InputError: For a part without a cloud or mesh.
     """
     free = free_tool(robots.lengthen_tool(robot, float(scenario.tool_extension_m)))
     own, numbers, ignored = task.of_link(robot.tcp_link, LAST)
+    rounds = 1 + len(TURNS_RAD) * len(longer_m)
+    progress(0, rounds)
     executor = Executor(Scene(free, all_obstacles(workpiece, ()), own), settings)
     on_path = np.arange(int(scenario.on_path), int(scenario.count))
     stacked = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scenario)
@@ -84,9 +89,10 @@ def tool_clearances(
     lanes = np.repeat(np.arange(len(on_path)), STARTS)
     first = np.concatenate([scenario.targets[on_path][lanes], np.tile(starts, (len(on_path), 1))], axis=1)
     found = [_best(measure(lanes, np.zeros(len(lanes)), first), lanes, len(on_path))] * len(longer_m)
-    for scale in TURNS_RAD:
+    for number, scale in enumerate(TURNS_RAD):
         turns = rng.normal(scale=scale, size=(TRIES, len(on_path), 3))
         for k, longer in enumerate(longer_m):
+            progress(1 + number * len(longer_m) + k, rounds)
             x, count = found[k].x, len(on_path)
             near = [x[np.clip(np.arange(count) + step, 0, count - 1)] for step in NEIGHBOURS]
             turned = [x + np.pad(each, ((0, 0), (3, 0))) for each in turns]

@@ -109,7 +109,8 @@ def _shown(found: FileProof, segment: Int[np.ndarray, "T"], share: Float[np.ndar
         if found.verdict != "proven":
             first = int(np.abs(segment + share - (decisive + contact.place)).argmin())
     nearest = None if contact is None else contact.x
-    texts = proof_record.headline(found), tuple(places), tuple(segments)
+    headline = "; ".join(filter(None, (proof_record.headline(found), proof_record.second_line(found))))
+    texts = headline, tuple(places), tuple(segments)
     return ShownFile(*texts, first, nearest, mark, found.scene.has_part)
 
 

@@ -97,7 +97,7 @@ def _configurations(source: Source, rows: Rows) -> tuple[Float[np.ndarray, "n N"
             extra
         )
         both = f"joints of {robot.name}: {listed(robot.joint_names)}; of the file: {listed(names) or 'none'}"
-        raise InputError(f"{source.file}: {', and '.join(what)}; {both}")
+        raise InputError(f"{source.file}: {', and '.join(what)}; {both}{source.advice(names) if extra else ''}")
     values = rows.values if rows.scale is None else rows.values * rows.scale
     columns = [names.index(name) for name in robot.joint_names]
     x = values[:, columns]

@@ -20,6 +20,7 @@ HEADS = re.compile(rf"(?:({')|('.join(WORDS.values())})|q)[\s_./:-]+(.+)", re.IG
 PLAIN_TIMES = {"time", "times", "t", "time_from_start"}
 SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 OF_TCP = re.compile(r"tcp|tool|pose|orient|(^|_)(r[xyz]|roll|pitch|yaw|tilt)(_|$)|error|deviation")  # no joints
+BARE = re.compile(r"_(rad|deg|m|mm)(_s2?)?$")  # the unit at a heading's end
 ROW_KIND = "kind"
 PLAN_TABLE = {"segment_status", "path_clear", "residual_m"}  # columns of a plan's trajectory.csv
 
@@ -51,9 +52,14 @@ def columns_of(source: Source, header: Sequence[str], line: int) -> Columns:
 
     Raises:
         InputError: For repeated columns, for columns of joints that the robot lacks, for velocities or accelerations of
-            some joints only, and if no joint is named.
+            some joints only, and if no joint is named, or one in `source.joints` is not.
     """
     known = [*source.robot.all_joint_names, *source.controller.locked]
+    own: dict[str, str] = {}
+    if source.joints:
+        own = dict(zip(source.joints, source.robot.joint_names, strict=True))
+        known = [*own, *(name for name in known if name not in source.robot.joint_names and name not in own)]
+    exact = {heading.strip() for heading in header} & own.keys()
     found: dict[str, dict[str, Column]] = {quantity: {} for quantity in QUANTITIES}
     time, kind, unused = None, None, []
     if PLAN_TABLE <= {*header}:
@@ -61,6 +67,12 @@ def columns_of(source: Source, header: Sequence[str], line: int) -> Columns:
     for k, heading in enumerate(header):
         if (named := _joint_of(heading, known)) is not None:
             joint, quantity, unit = named
+            if joint in exact and quantity == POSITION:  # this column alone is meant
+                if heading.strip() != joint:
+                    unused.append(heading.strip())
+                    continue
+                unit = _unit_at_end(heading)
+            joint = own.get(joint, joint)
             if joint in found[quantity]:
                 first = header[found[quantity][joint].index]
                 source.fail(line, f"the columns {first!r} and {heading!r} both hold the {quantity} of {joint}")
@@ -73,17 +85,32 @@ def columns_of(source: Source, header: Sequence[str], line: int) -> Columns:
             kind = k
         else:
             unused.append(heading.strip())
-    joints = tuple(found[POSITION])
-    robot = f"joints of {source.robot.name}: {listed(source.robot.joint_names)}; of the file: {listed(header)}"
-    if not joints:
-        source.fail(line, f"no column is named as a joint of the robot; {robot}")
-    if extra := [heading for heading in unused if _is_joint(heading, known)]:
+    columns = Columns(tuple(found[POSITION]), found, time, kind, tuple(unused))
+    _check_columns(source, columns, header, line, known)
+    return columns
+
+
+def _check_columns(source: Source, columns: Columns, header: Sequence[str], line: int, known: Sequence[str]) -> None:
+    """Check that the columns are those of the robot's joints.
+
+    Raises:
+        InputError: See `columns_of`.
+    """
+    given, robot_names, unused = source.joints, source.robot.joint_names, columns.unused
+    missing = [name for name, joint in zip(given, robot_names, strict=False) if joint not in columns.joints]
+    if missing:
+        source.fail(line, f"no column is named {listed(missing)}, as --joints requires; columns: {listed(header)}")
+    robot = f"joints of {source.robot.name}: {listed(robot_names)}; of the file: {listed(header)}"
+    if not columns.joints:
+        advice = source.advice(_numbered(unused, source.robot.dof))
+        advice = advice or "; pass --joints with the names of the joints' columns"
+        source.fail(line, f"no column is named as a joint of the robot; {robot}{advice}")
+    if not given and (extra := [heading for heading in unused if _is_joint(heading, known)]):
         source.fail(line, f"the robot lacks {listed(extra)}; {robot}")
     for quantity, plural in ((VELOCITY, "velocities"), (ACCELERATION, "accelerations")):
-        lacking = [name for name in source.robot.joint_names if name not in found[quantity]]
-        if found[quantity] and lacking:
+        lacking = [name for name in robot_names if name not in columns.of[quantity]]
+        if columns.of[quantity] and lacking:
             source.fail(line, f"{plural} of some joints only; those of {listed(lacking)} are missing")
-    return Columns(joints, found, time, kind, tuple(unused))
 
 
 def _joint_of(heading: str, known: Sequence[str]) -> tuple[str, str, str | None] | None:
@@ -131,6 +158,24 @@ def _without_brackets(text: str) -> str:
     return f"{found[1]}_{unit.replace(' ', '')}" if unit else found[1]
 
 
+def _unit_at_end(heading: str) -> str | None:
+    """Return the unit at the end of a heading, as in "A1 [deg]"; None if there is none."""
+    before, _, unit = _without_brackets(heading.strip().strip("\"'")).lower().rpartition("_")
+    return unit if before and unit in {*ANGLES, *LENGTHS} else None
+
+
+def _numbered(headings: Sequence[str], count: int) -> list[str]:
+    """Return the names, without units, of `count` columns that may be those of the joints; [] if there are none.
+
+    These are all headings, or the first ones that differ only by a number.
+    """
+    names = list(dict.fromkeys(BARE.sub("", _without_brackets(heading.strip("\"'"))) for heading in headings))
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(re.sub(r"\d+", "#", name), []).append(name)
+    return next((each for each in (names, *groups.values()) if len(each) == count and all(each)), [])
+
+
 def _time_unit(heading: str) -> str | None:
     """Return the unit of a column of times; None if the column holds none."""
     text = _without_brackets(heading.strip().strip("\"'")).lower()
@@ -144,7 +189,7 @@ def _is_joint(heading: str, known: Sequence[str]) -> bool:
     """Return True if an unknown heading seems to be a joint's: numbered as the robot's joints are, or with an angle."""
     text = _without_brackets(heading.strip().strip("\"'")).lower()
     stems = {re.sub(r"\d+", "#", name.lower()) for name in known if re.search(r"\d", name)}
-    bare = re.sub(r"_(rad|deg|m|mm)(_s2?)?$", "", text)
+    bare = BARE.sub("", text)
     is_angle = re.search(r"_(rad|deg|degrees|radians)$", text) is not None and OF_TCP.search(text) is None
     return re.sub(r"\d+", "#", bare) in stems or is_angle
 

@@ -54,7 +54,9 @@ def read_npz(source: Source) -> Rows:
     names = found.pop("names", None)
     if names is not None and (names.dtype.kind != "U" or names.ndim != 1):
         raise InputError(f"{source.file}: joint_names must be a list of texts")
-    own = None if names is None else tuple(map(str, names.tolist()))
+    if names is None and source.joints:
+        raise InputError(f"{source.file} has no joint_names, so that --joints does not apply to it")
+    own = None if names is None else source.renamed(tuple(map(str, names.tolist())))
     return _rows(source, found, own, [f"Arrays that are not used: {listed(unused)}."] if unused else [])
 
 

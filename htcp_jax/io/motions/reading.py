@@ -1,7 +1,7 @@
 """`read_motion`: the motion in a file of any format that can be read."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -60,6 +60,7 @@ CONTENTS = (  # formats by their text, in this order
     ("ros", re.compile(rb"^\s*-?\s*(?:joint_names|joint_trajectory|points):", re.MULTILINE)),
 )
 PULSES = re.compile(rb"^///PULSE\b", re.MULTILINE)
+NAMED = {"csv", "ros", "ros-json", "npz"}  # formats that name the joints
 NOTHING = JobController()
 
 
@@ -70,6 +71,7 @@ def read_motion(
     *,
     format: str | None = None,
     unit: str | None = None,
+    joints: Sequence[str] = (),
     interpolation: str | None = None,
 ) -> MotionFile:
     """Return the motion in a file.
@@ -80,6 +82,7 @@ def read_motion(
         controller: What the job says about the controller, see `controller_of`.
         format: Name of the format in MOTION_FORMATS; None: by the file's ending and content.
         unit: Unit of angles, "deg" or "rad"; None: as stated by the file or its format.
+        joints: Names in the file of the robot's joints, in the order of `robot.joint_names`; empty: the robot's names.
         interpolation: "linear", "cubic" or "quintic"; None: as the format's controller interpolates.
 
     Raises:
@@ -95,7 +98,11 @@ def read_motion(
     if not data.strip():
         raise InputError(f"{file} is empty")
     name = format_of_content(file, data) if format is None else format
-    source = Source(file, data, robot, controller, unit)
+    source = Source(file, data, robot, controller, unit, tuple(joints))
+    if joints:
+        source.check_joints()
+        if name not in NAMED:
+            raise InputError(f"{file}: --joints applies to {', '.join(sorted(NAMED))}; {name} has no names of joints")
     rows = MOTION_FORMATS[name](source)
     if name in OPEN_END and not data.endswith(LINE_ENDS):
         rows = rows._replace(notes=(*rows.notes, "The last line has no line end; check that the file is complete."))

@@ -201,7 +201,7 @@ def _rows(source: Source, document: Mapping[str, Any], points: list[_Point], not
     default = "linear" if arrays[1] is None else "cubic" if arrays[2] is None else "quintic"
     about = f"JointTrajectory: {default} between points, as joint_trajectory_controller interpolates them."
     return Rows(
-        tuple(names),
+        source.renamed(names),
         arrays[0] if arrays[0] is not None else np.zeros((0, len(names))),
         np.array([point.line for point in points], int),
         time_s=time_s,

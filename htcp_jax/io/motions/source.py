@@ -1,5 +1,6 @@
 """A motion's file with what is needed to read it, and the rows that a format's reader returns."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn, Protocol, runtime_checkable
@@ -56,6 +57,7 @@ class Source(NamedTuple):
     robot: Robot
     controller: Controller
     unit: str | None  # of angles: "deg" or "rad"; None: as the file or its format states
+    joints: tuple[str, ...] = ()  # names in the file of the robot's joints, in their order; empty: the robot's names
 
     @property
     def text(self) -> str:
@@ -94,6 +96,38 @@ class Source(NamedTuple):
         """
         if self.unit is not None and self.unit != holds:
             raise InputError(f"{self.file}: {format} holds {holds}; --unit {self.unit} contradicts that")
+
+    def check_joints(self) -> None:
+        """Check the names of joints that are stated for the file.
+
+        Raises:
+            InputError: For another number of names than the robot has joints, and for a name that is empty or repeated.
+        """
+        given, robot = self.joints, self.robot
+        if len(given) != robot.dof:
+            own = f"{robot.name} has {robot.dof} joints: {listed(robot.joint_names)}"
+            raise InputError(f"--joints has {len(given)} names: {listed(given)}; {own}")
+        if wrong := [name for name in given if not name or given.count(name) > 1]:
+            what = f"{wrong[0]!r} {given.count(wrong[0])} times" if wrong[0] else "an empty name"
+            raise InputError(f"--joints has {what}; a different name is needed for each of {listed(robot.joint_names)}")
+
+    def renamed(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return names in the file with the robot's names in place of those in `joints`.
+
+        Raises:
+            InputError: If the file lacks one of them.
+        """
+        if lacking := [name for name in self.joints if name not in names]:
+            raise InputError(f"{self.file}: --joints names {listed(lacking)}; names in the file: {listed(names)}")
+        own = dict(zip(self.joints, self.robot.joint_names, strict=False))
+        return tuple(own.get(name, name) for name in names)
+
+    def advice(self, names: Sequence[str]) -> str:
+        """Return text that advises to pass --joints with names of the file; "" if their number is not the robot's."""
+        if self.joints or len(names) != self.robot.dof:
+            return ""
+        option = ",".join(f'"{name}"' if "," in name else name for name in names)
+        return f"; if these are the joints in the robot's order, pass --joints {shlex.quote(option)}"
 
     def check_robot(self, holder: str) -> None:
         """Check that the job's group of the robot has six joints, as a format for robots with six axes needs.
