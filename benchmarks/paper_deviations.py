@@ -213,7 +213,7 @@ def late_anchor(runs: Runs) -> None:
     """Re-anchoring after the last null-space step only, with the three minimisers of the paper."""
 
     def row(name):
-        stages = [AnchoredAtTheEnd(stage.minimise, stage.settings) for stage in registry.METHODS[name].stages]
+        stages = [AnchoredAtTheEnd(stage.minimise, stage.settings) for stage in registry.METHODS.find(name).stages]
         with registered(StepQPs("own", "own", "own", stages=tuple(stages))) as own:
             found = runs.success(own)
         paper = " / ".join(f"{PAPER[sweep][0][SIX.index(name)]:.2f}" for sweep in SWEEPS)
