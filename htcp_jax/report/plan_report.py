@@ -108,11 +108,12 @@ def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
     """Return pictures from two sides, each of the whole arm and close up; without OpenGL, the picture of the plan."""
     replay = replays_of(name, plan).replay(0, plan.job.method)
     at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
+    replay = replay.seen_at([at])
     try:
         pictures = [each for side in (0, 1) for each in _side(replay, side, at)]
     except InputError as error:
         return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
-    cut = " The half of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
+    cut = " The part of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
     note = f"The arm at target {at} of {len(replay.target) - 1}, from two sides, with the path in blue.{cut}"
     return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
 
