@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE = 800, 600  # of a picture [pixels]; two are next to each other
-GLANCE = "can be run", "seams", "guaranteed clearance", "transfer margin", "work angle", "travel angle", "spin"
+GLANCE = "can be run", "seams", "guaranteed clearance", "clearance by phase", "transfer margin"
+ANGLES = "work angle", "travel angle", "spin"
 PROVENANCE = "device", "dtype", "commit"
 
 
@@ -69,7 +70,8 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     made, untimed = _program(plan, folder, feed)
     figures = None if made is None else program_figures(made.program, made.limits)
     timed = {} if figures is None else program_facts.facts_of(figures, made.seam_feeds)
-    glance = {key: facts[key] for key in GLANCE if key in facts} | {
+    facts |= plan_notes.clearance_by_phase(plan.plans, int(plan.scenario.on_path))
+    glance = {key: facts[key] for key in (*GLANCE, *ANGLES) if key in facts} | {
         key: text for key, text in plan.failure().items() if key != "next"
     }
     glance |= {key: timed[key] for key in ("duration", "feed") if key in timed}
