@@ -83,7 +83,11 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     blocks += [Heading(2, "What was assumed"), *_assumed(plan, made)]
     unchecked = plan_notes.not_checked(plan.job, plan.robot, plan.obstacles, made, facts, folder)
     blocks += [Heading(2, "What is not checked"), fact_table("not_checked", unchecked, "not checked")]
-    others = {key: text for key, text in facts.items() if key not in (*glance, "planning time", "workpiece")}
+    others = {
+        key: text
+        for key, text in facts.items()
+        if key not in (*glance, "planning time", "workpiece", "pairs not checked")
+    }
     blocks += [Heading(2, "Other results"), fact_table("results", others)]
     blocks += [Heading(2, "What was run"), *_what_was_run(made_by)]
     return Report((), (), tuple(blocks), tuple(block for block in blocks if isinstance(block, Table)))
