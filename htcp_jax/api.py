@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
+from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config, source_of, with_kinds
@@ -227,7 +228,9 @@ class Plan:
 
     def _checked(self) -> dict[str, str]:
         """Return lines for the checked bodies, self-collision pairs and fixtures; fixtures on links come first."""
-        return jobs.build.checked_facts(self.robot, self.obstacles, is_tree=self.job.tree is not None)
+        facts = jobs.build.checked_facts(self.robot, self.obstacles, is_tree=self.job.tree is not None)
+        count = sum(len(each.unchecked) for each in self.obstacles if isinstance(each, SelfCollision))
+        return facts | ({"pairs not checked": f"{count} that could touch; htcp report names them"} if count else {})
 
     def _details(self) -> dict[str, str]:
         end = self.outcome
@@ -259,8 +262,8 @@ class Plan:
             "clearance": f"{s.clearance_min_mm:.3g} mm minimum, {least}{s.clearance_mean_mm:.3g} mm mean; {required}"
         }
         if cover_mm := 1e3 * self.workpiece.covering_radius_m:
-            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to the mesh's points"
-            facts["clearance measured"] = f"{measured}, less their covering radius of {cover_mm:.3g} mm"
+            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to points on the part"
+            facts["clearance measured"] = f"{measured}; {cover_mm:.3g} mm are subtracted for the gaps between them"
         facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
         if mean is not None:

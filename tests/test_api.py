@@ -15,10 +15,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import htcp_jax
+from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.cli import main
 from htcp_jax.errors import Note
 from htcp_jax.jobs import load_sweep
-from htcp_jax.model.robot import lengthen_tool
+from htcp_jax.model.robot import Exclusion, lengthen_tool
 from htcp_jax.motion import Problem
 from htcp_jax.planning import batch, registry
 from htcp_jax.planning.tracking import StepQPs
@@ -102,8 +103,16 @@ def test_clearance_to_a_mesh_is_reported_with_and_without_the_covering_radius(sh
     assert "clearance measured" not in plan.facts()
     mesh = replace(plan, workpiece=replace(plan.workpiece, covering_radius_m=0.001))
     least = plan.summary.clearance_min_mm + 1
-    reported = f"at least {least:.3g} mm to the mesh's points, less their covering radius of 1 mm"
+    reported = f"at least {least:.3g} mm to points on the part; 1 mm are subtracted for the gaps between them"
     assert mesh.facts()["clearance measured"] == reported
+
+
+def test_a_plan_says_how_many_pairs_of_bodies_that_could_touch_are_not_checked(short):
+    plan = htcp_jax.plan(overrides=short, method="baseline")
+    assert "pairs not checked" not in plan.facts()
+    excluded = tuple(Exclusion(4, other, rule, 1.0) for other, rule in enumerate("abcd"))
+    own = replace(plan, obstacles=(SelfCollision(((5, 0),), excluded),))
+    assert own.facts()["pairs not checked"].startswith("2 that could touch")  # by the rules b and d
 
 
 def test_a_saved_plan_is_read_where_its_planner_is_not(short, tmp_path, capsys):

@@ -10,6 +10,7 @@ from made_plan import A, driven, made_plan, made_plans
 
 from htcp_jax.api import open_plan
 from htcp_jax.cli import main
+from htcp_jax.report.plan_tables import format_table
 from htcp_jax.runs import open_plans
 from htcp_jax.trajectory import program_figures, program_of
 from htcp_jax.viewer.timed_play import reached_s
@@ -61,6 +62,29 @@ def test_the_page_has_the_numbers_of_the_plan_and_of_its_program(reported, plann
     assert "the job has no cell" in rows["surroundings"] and "htcp validate" in rows["independent check"]
     assert rows["margin"].startswith(f"{1e3 * plan.job.margin_m:g} mm")
     assert any(row[:3] == ["rapid", "-", f"{len(made.timed('rapid').x):,}"] for row in cells(page))
+
+
+def test_the_clearance_of_the_whole_motion_is_that_of_its_narrowest_phase(reported, planned):
+    rows = {row[0]: row[1] for row in cells((reported / "report.html").read_text()) if len(row) == 2}
+    plan = open_plan(planned)
+    phases = dict(part.split(" at least ") for part in rows["clearance by phase"].split(", "))
+    assert list(phases) == ["before the path", "on the path", "on the way back"]
+    least = 1e3 * plan.plans.segment_clearance[0]
+    first = int(plan.scenario.on_path)
+    expected = [np.nanmin(each) for each in (least[: first + 1], least[first + 1 :], least)]
+    assert [float(text.removesuffix(" mm")) for text in phases.values()] == pytest.approx(expected, rel=0.01)
+
+
+def test_formats_that_cannot_couple_axes_are_one_row(planned):
+    made = program_of(open_plans(planned), 0.2)
+    names = [row[0] for row in format_table(made).rows]
+    joints = made.robot.joint_names
+    coupled = made.job.program.model_copy(update={"coupled": ((joints[2], joints[1]),)})
+    rows = format_table(made._replace(job=made.job.model_copy(update={"program": coupled}))).rows
+    assert rows[-1] == ("jbi-pulses, krl, ls, urscript", None, None, "not with program.coupled")
+    others = [row[0] for row in rows[:-1]]
+    assert others == [name for name in names if name not in rows[-1][0].split(", ")]
+    assert not any("coupled" in row[-1] for row in rows[:-1])
 
 
 def test_the_phases_fill_the_cycle(planned, tmp_path, screenless, capsys):

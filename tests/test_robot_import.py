@@ -161,6 +161,28 @@ def test_both_views_of_an_imported_arm_have_numbers_on_the_vertical_axis(folder)
     assert [axes.yaxis.get_tick_params()["labelleft"] for axes in views] == [True, True]
 
 
+def test_the_lower_views_show_the_convex_pieces_which_are_as_large_as_the_mesh(folder):
+    arm = import_robot(folder / "crane.urdf", "grasp", most=1)
+    figure = draw_arm(arm, mjcf.arm_xml(arm, "crane.urdf"), "crane")
+    *views, _ = figure.axes
+    assert [axes.get_title(loc="left").split(",")[0] for axes in views] == ["capsules"] * 2 + ["convex pieces"] * 2
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert len(texts) == 4 and any("convex pieces" in text for text in texts)
+    for capsules, pieces in zip(views[:2], views[2:], strict=True):
+        mesh, round_ = (_corners(capsules, zorder) for zorder in (2, 3))
+        hulls = _corners(pieces, 3)
+        np.testing.assert_allclose(
+            [hulls.min(axis=0), hulls.max(axis=0)], [mesh.min(axis=0), mesh.max(axis=0)], atol=0.02
+        )
+        assert (np.ptp(round_, axis=0) > np.ptp(hulls, axis=0) + 0.01).all()
+
+
+def _corners(axes, zorder: int) -> np.ndarray:
+    return np.concatenate(
+        [path.vertices for each in axes.collections if each.zorder == zorder for path in each.get_paths()]
+    )
+
+
 def mujoco_turn(rpy: str) -> np.ndarray:
     body = f'<body pos="0 0 0" euler="{rpy}"/>'
     text = f'<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>{body}</worldbody></mujoco>'

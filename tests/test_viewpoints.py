@@ -10,6 +10,7 @@ from htcp_jax.viewer.viewpoints import (
     ASIDE_RAD,
     ShownBodies,
     ShownScene,
+    View,
     Viewpoint,
     best_views,
     camera_views,
@@ -54,7 +55,7 @@ def test_an_arm_that_stands_before_the_square_side_is_looked_at_from_another():
     """Viewpoint if the arm covers the square view: another side (regression: the arm hid the part)."""
     scene = ShownScene(WALL, PATH, arm(), triangles=np.full((1, 3, 3), 9.0))
     square = view_from_side(WALL, PATH)
-    before = [hidden_targets(scene, Viewpoint(square, aside, ABOVE_RAD[0], False)).mean() for aside in ASIDE_RAD]
+    before = [hidden_targets(scene, Viewpoint(square, aside, ABOVE_RAD[0], 0.0)).mean() for aside in ASIDE_RAD]
     assert square.near[0] < -0.9 and min(before) > 0.25  # from the robot's own side, the link hides the path
     for chosen in camera_views([scene]):
         assert hidden_targets(scene, chosen).mean() < 0.1  # the tool hides the target that it touches
@@ -74,7 +75,7 @@ def box(sides: str) -> np.ndarray:
 def test_the_chosen_sides_hide_hardly_a_target_where_the_worst_hides_all():
     mesh = box("+x-x-y+y+z-z")
     scene = ShownScene(mesh.reshape(-1, 3), PATH, arm(), mesh)
-    every = best_views([scene], ASIDE_RAD, ABOVE_RAD, (False, True))
+    every = best_views([scene], ASIDE_RAD, ABOVE_RAD)
     counts = [int(hidden_targets(scene, each).sum()) for each in every]
     chosen = camera_views([scene])
     assert all(each.cut for each in chosen)  # a closed box is cut open
@@ -96,7 +97,7 @@ def test_a_part_with_one_open_side_is_seen_from_there_and_stays_whole():
 @given(st.floats(-3, 3), st.floats(0.01, 0.3))
 def test_a_ball_hides_what_is_right_behind_it_and_nothing_else(aside, radius):
     ball = ShownBodies(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.array([radius, radius]), np.array([False, False]))
-    at = Viewpoint(view_from_side(WALL, PATH), aside, 0.2, False)
+    at = Viewpoint(view_from_side(WALL, PATH), aside, 0.2, 0.0)
     across = np.cross(at.toward, [0, 0, 1.0])
     points = np.stack([-at.toward, -at.toward + 2 * radius * across, at.toward])
     scene = ShownScene(np.full((4, 3), 9.0), points, ball, np.full((1, 3, 3), 9.0))
@@ -110,7 +111,7 @@ def test_the_cloud_hides_what_is_behind_it_and_not_what_lies_on_it():
     view = view_from_side(plate, np.array([[-1, -1, 0], [-1, 1.0, 0]]))
     path = np.array([[-0.5, 0.01, 0.02], [0.0, 0.01, 0.02], [0.5, 0.01, 0.02]])
     np.testing.assert_allclose(view.near, [1, 0, 0], atol=1e-12)
-    for cut, shares in ((False, [True, False, False]), (True, [True, False, False])):
+    for cut, shares in ((0.0, [True, False, False]), (0.5, [True, False, False])):
         found = hidden_targets(ShownScene(plate, path, none), Viewpoint(view, 0.0, 0.0, cut))
         np.testing.assert_array_equal(found, [shares])
 
@@ -129,6 +130,75 @@ def test_a_ray_meets_the_triangles_that_its_equations_say(seed):
         u, v, along = solved[..., 0].T
         expected.append(bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (along > 0.005)).any()))
     np.testing.assert_array_equal(shadowed(points, triangles, toward), expected)
+
+
+def cuboid(low, high) -> np.ndarray:
+    """Triangles of an axis-aligned box, from its lowest to its highest corner."""
+    return (box("-x+x-y+y-z+z") - [1.3, 0, 0.3] + 0.5) * np.subtract(high, low) + low
+
+
+def fillet(*walls: np.ndarray) -> ShownScene:
+    """A seam at the foot of a rib on a plate, with a torch that leans away from the rib, and walls on the plate."""
+    plate, rib = cuboid([0.8, -0.26, 0], [1.2, 0.26, 0.01]), cuboid([0.9, -0.004, 0.01], [1.17, 0.004, 0.12])
+    mesh = np.concatenate([plate, rib, *walls])
+    seam = np.linspace([0.96, -0.004, 0.01], [1.14, -0.004, 0.01], 31)
+    leans, middle = np.array([0, -(0.5**0.5), 0.5**0.5]), seam[15]
+    p, q = middle + np.outer([0.027, 0.2], leans), middle + np.outer([0.2, 0.5], leans)
+    torch = ShownBodies(
+        p[None], q[None], np.array([0.012, 0.06]), np.array([True, False]), tip=middle[None] + 0.005 * leans
+    )
+    cloud = np.concatenate([mesh.mean(axis=1), mesh.reshape(-1, 3)])
+    return ShownScene(cloud, seam, torch, mesh)
+
+
+def walls(height: float) -> list[np.ndarray]:
+    """Four walls on the edges of the plate."""
+    return [
+        cuboid([1.19, -0.26, 0.01], [1.2, 0.26, height]),
+        cuboid([0.8, -0.26, 0.01], [0.81, 0.26, height]),
+        cuboid([0.8, -0.26, 0.01], [1.2, -0.25, height]),
+        cuboid([0.8, 0.25, 0.01], [1.2, 0.26, height]),
+    ]
+
+
+def shows_tip(scene: ShownScene, at: Viewpoint) -> bool:
+    """Walk from the tip to the camera in steps of 1 mm: no step is in a body, or in the part in front of the cut."""
+    steps = scene.arm.tip[0] + 0.001 * np.arange(2, 600)[:, None] * at.toward
+    depth = scene.cloud @ at.view.near
+    for corners in scene.triangles.reshape(-1, 36, 3):
+        inside = ((steps > corners.min(axis=0)) & (steps < corners.max(axis=0))).all(axis=1)
+        if (inside & (steps @ at.view.near <= depth.max() - at.cut * np.ptp(depth))).any():
+            return False
+    for p, q, radius in zip(scene.arm.p[0], scene.arm.q[0], scene.arm.radius, strict=True):
+        share = np.clip((steps - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
+        if (np.linalg.norm(steps - p - share[:, None] * (q - p), axis=1) < radius).any():
+            return False
+    return True
+
+
+def test_a_fillet_on_an_open_plate_is_seen_complete_with_its_tip_from_two_sides():
+    scene = fillet()
+    first, second = camera_views([scene])
+    assert not first.cut and not second.cut and shows_tip(scene, first) and shows_tip(scene, second)
+    assert (np.array([first.toward[1], second.toward[1]]) < 0.35).all()  # not from behind the rib
+    behind = View(np.array([-1.0, 0, 0]), np.array([0.0, 0, 1]), np.array([0.0, 1, 0]))
+    assert not shows_tip(scene, Viewpoint(behind, 0.0, ABOVE_RAD[0], 0.0))
+
+
+def test_a_part_that_shows_the_seam_over_its_walls_is_not_cut():
+    scene = fillet(*walls(0.17))
+    for each in camera_views([scene]):
+        assert not each.cut and shows_tip(scene, each) and hidden_targets(scene, each).mean() < 0.5
+
+
+def test_a_cut_in_front_of_a_fillet_keeps_the_plate_next_to_the_seam():
+    scene = fillet(*walls(0.6))
+    chosen = camera_views([scene])
+    assert all(each.cut for each in chosen) and all(shows_tip(scene, each) for each in chosen)
+    for each in chosen:
+        depth = scene.cloud @ each.view.near
+        cut = depth.max() - each.cut * np.ptp(depth)
+        assert (scene.path @ each.view.near).max() + 0.029 < cut or not each.cut
 
 
 def test_the_same_plan_is_always_looked_at_from_the_same_side():

@@ -96,7 +96,8 @@ def robot(
     others, such as a gripper's, are frozen; --fix freezes further ones.
     Each revolute or prismatic joint of a URDF needs a range, in the model or in --limits FILE.
     Capsules and spheres of the model are kept; fitted capsules enclose meshes, boxes and cylinders. Writes ARM.xml and
-    ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh.
+    ARM.png. Inspect the picture: it shows the capsules over the model, coloured by their distance from the mesh, and
+    below the convex pieces, which decide where the capsules come too near.
     ARM.xml contains, for each fitted capsule, the convex hull of the mesh inside it. It also lists the pairs of
     capsules that are not checked for self-collision, with the reason: disabled by the model or the SRDF file, nearly
     always overlapping, or overlapping although the meshes inside do not touch. If the arm is clear much less often by

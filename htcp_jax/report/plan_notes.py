@@ -10,13 +10,13 @@ from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.model import Robot, Workpiece
 from htcp_jax.model import robot as robots
+from htcp_jax.motion import Plans
 from htcp_jax.report import program_facts
 from htcp_jax.runs import plan_folder
 from htcp_jax.spec import PlanConfig, label_of
 from htcp_jax.trajectory import PlanProgram
 
 MOST_PAIRS = 30  # more pairs are counted, not named
-NAMED = "bd"  # rules by which bodies are excluded that could collide, see `self_collision.RULES`
 
 
 def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str) -> dict[str, str]:
@@ -55,6 +55,29 @@ def assumptions(job: PlanConfig, robot: Robot, workpiece: Workpiece, place: str)
         "walls": workpiece.walls,
         "random seed": str(settings.seed),
     }
+
+
+def clearance_by_phase(plans: Plans, on_path: int) -> dict[str, str]:
+    """Return the guaranteed clearance before the path, on it, between seams and on the way back, as text by label.
+
+    Without a motion to the last target the result is empty.
+
+    Args:
+        plans: The plan.
+        on_path: Index of the first target on the path.
+    """
+    if not plans.executable[0].all():
+        return {}
+    least, target = plans.segment_clearance[0], np.arange(plans.executable.shape[1])
+    between = plans.begins_seam
+    phases = {
+        "before the path": least[(target <= on_path) & ~between],
+        "on the path": least[(target > on_path) & ~between],
+        "between seams": least[between],
+        "on the way back": least if plans.retract is None else plans.retract.clearance,
+    }
+    known = {name: np.fmin.reduce(each) for name, each in phases.items() if np.isfinite(each).any()}
+    return {"clearance by phase": ", ".join(f"{name} at least {1e3 * each:.3g} mm" for name, each in known.items())}
 
 
 def not_checked(
@@ -103,11 +126,13 @@ def _own_pairs(robot: Robot, obstacles: Obstacles) -> str:
     own = next((each for each in obstacles if isinstance(each, SelfCollision)), None)
     if own is None:
         return "no pair of bodies is checked: cell.self_collision is false, or there is no pair"
-    left = [each for each in own.excluded if each.rule in NAMED]
-    of_tool = [each for each in left if {each.first, each.second} & {*robot.mounted}]
+    of_tool = [each for each in own.unchecked if {each.first, each.second} & {*robot.mounted}]
     parts = [
         f"{what}: {', '.join(_pairs(robot, pairs))}"
-        for what, pairs in (("of the tool and the arm", of_tool), ("of the arm", [p for p in left if p not in of_tool]))
+        for what, pairs in (
+            ("of the tool and the arm", of_tool),
+            ("of the arm", [p for p in own.unchecked if p not in of_tool]),
+        )
         if pairs
     ]
     if not parts:

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE = 800, 600  # of a picture [pixels]; two are next to each other
-GLANCE = "can be run", "seams", "guaranteed clearance", "transfer margin", "work angle", "travel angle", "spin"
+GLANCE = "can be run", "seams", "guaranteed clearance", "clearance by phase", "transfer margin"
+ANGLES = "work angle", "travel angle", "spin"
 PROVENANCE = "device", "dtype", "commit"
 
 
@@ -69,7 +70,8 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     made, untimed = _program(plan, folder, feed)
     figures = None if made is None else program_figures(made.program, made.limits)
     timed = {} if figures is None else program_facts.facts_of(figures, made.seam_feeds)
-    glance = {key: facts[key] for key in GLANCE if key in facts} | {
+    facts |= plan_notes.clearance_by_phase(plan.plans, int(plan.scenario.on_path))
+    glance = {key: facts[key] for key in (*GLANCE, *ANGLES) if key in facts} | {
         key: text for key, text in plan.failure().items() if key != "next"
     }
     glance |= {key: timed[key] for key in ("duration", "feed") if key in timed}
@@ -81,7 +83,11 @@ def report_of_plan(plan: ReportedPlan, folder: Path, made_by: Mapping[str, Any],
     blocks += [Heading(2, "What was assumed"), *_assumed(plan, made)]
     unchecked = plan_notes.not_checked(plan.job, plan.robot, plan.obstacles, made, facts, folder)
     blocks += [Heading(2, "What is not checked"), fact_table("not_checked", unchecked, "not checked")]
-    others = {key: text for key, text in facts.items() if key not in (*glance, "planning time", "workpiece")}
+    others = {
+        key: text
+        for key, text in facts.items()
+        if key not in (*glance, "planning time", "workpiece", "pairs not checked")
+    }
     blocks += [Heading(2, "Other results"), fact_table("results", others)]
     blocks += [Heading(2, "What was run"), *_what_was_run(made_by)]
     return Report((), (), tuple(blocks), tuple(block for block in blocks if isinstance(block, Table)))
@@ -108,11 +114,12 @@ def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
     """Return pictures from two sides, each of the whole arm and close up; without OpenGL, the picture of the plan."""
     replay = replays_of(name, plan).replay(0, plan.job.method)
     at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
+    replay = replay.seen_at([at])
     try:
         pictures = [each for side in (0, 1) for each in _side(replay, side, at)]
     except InputError as error:
         return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
-    cut = " The half of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
+    cut = " The part of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
     note = f"The arm at target {at} of {len(replay.target) - 1}, from two sides, with the path in blue.{cut}"
     return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
 

@@ -11,7 +11,7 @@ from htcp_jax.report.document import Table
 from htcp_jax.runs import Column, SeamOrder, columns
 from htcp_jax.spec import TOOL_ANGLES, PlanConfig, ToolAxisRow
 from htcp_jax.status import Kind
-from htcp_jax.trajectory import FORMATS, PlanProgram, limits_of_job, stated_limits
+from htcp_jax.trajectory import FORMATS, UNCOUPLED, PlanProgram, limits_of_job, stated_limits
 
 PLAIN = ".2f"
 RATES = "velocity", "acceleration", "jerk"
@@ -140,9 +140,14 @@ def limit_sources(made: PlanProgram) -> str:
 
 
 def format_table(made: PlanProgram) -> Table:
-    """Return the table of the program formats: configurations in the file, or the reason why there is none."""
-    rows = []
+    """Return the table of the program formats: configurations in the file, or the reason why there is none.
+
+    The formats that a job with `program.coupled` cannot have are one row.
+    """
+    rows, uncoupled = [], made.job.program.coupled and [name for name in FORMATS if name in UNCOUPLED]
     for name, format in FORMATS.items():
+        if uncoupled and name in uncoupled:
+            continue
         step_ms = None if format.step_s is None else 1e3 * format.step_s
         try:
             timed = made.timed(name)
@@ -152,6 +157,8 @@ def format_table(made: PlanProgram) -> Table:
             rows.append((name, step_ms, len(timed.x), f"htcp program --format {name}"))
         except InputError as error:
             rows.append((name, step_ms, None, f"not from this job: {error}"))
+    if uncoupled:
+        rows.append((", ".join(uncoupled), None, None, "not with program.coupled"))
     shown = (*columns.of("format", "interval_ms", "configurations", "written_by"),)
     return Table("formats", shown, tuple(rows))
 

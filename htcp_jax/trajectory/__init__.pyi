@@ -8,13 +8,22 @@ from .formats.writers import FORMATS, format_of
 from .joint_torques import PeakTorque
 from .limits import own_rates, stated_limits
 from .limits_file import check_ranges, limits_of_job, limits_overrides
-from .plan_program import PlanProgram, program_of, program_of_plans, requested_feed, requested_feeds, with_program
+from .plan_program import (
+    UNCOUPLED,
+    PlanProgram,
+    program_of,
+    program_of_plans,
+    requested_feed,
+    requested_feeds,
+    with_program,
+)
 from .program import Program
 from .run_timing import check_limits, time_run
 from .timed_motion import TimedMotion
 
 __all__ = [
     "FORMATS",
+    "UNCOUPLED",
     "Deviation",
     "FileMotion",
     "PeakTorque",

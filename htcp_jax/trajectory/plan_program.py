@@ -48,10 +48,11 @@ from htcp_jax.trajectory.task_slack import with_rows
 from htcp_jax.trajectory.timed_motion import TimedMotion
 
 SECTION = "program."
+UNCOUPLED = "jbi-pulses", "krl", "ls", "urscript"  # formats that do not support `program.coupled`
 
 Feeds = float | tuple[float, ...]  # feed rate of the TCP on the path [m/s]: one, or one for each seam
 
-__all__ = ["PlanProgram", "program_of", "requested_feed", "requested_feeds", "timed_plan", "with_program"]
+__all__ = ["UNCOUPLED", "PlanProgram", "program_of", "requested_feed", "requested_feeds", "timed_plan", "with_program"]
 
 
 class PlanProgram(NamedTuple):
@@ -216,7 +217,7 @@ class PlanProgram(NamedTuple):
 
     def _coupled(self, format: str) -> tuple[tuple[int, int], ...]:
         requested = self.job.program.coupled
-        if requested and format in ("urscript", "jbi-pulses", "krl", "ls"):
+        if requested and format in UNCOUPLED:
             raise InputError(f"{format} does not support program.coupled; remove the key, or use the format rapid")
         found = coupled_axes(self.job, self.robot)
         for axis, joint in requested:

@@ -15,7 +15,7 @@ from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.motion import arm_poses as poses
 from htcp_jax.viewer.colours import is_tool
-from htcp_jax.viewer.viewpoints import ShownBodies
+from htcp_jax.viewer.viewpoints import SKIN_M, ShownBodies
 
 AT_REST = np.eye(4)
 THICK_M, MOST_FLAT = 0.01, 4  # radius above which a piece is thickened; fewer points than these are always
@@ -103,7 +103,9 @@ def shown_bodies(robot: Robot, row: Sequence[ArmPose]) -> ShownBodies:
         row: The poses, in the frame in which they are drawn, see `seen`.
     """
     arm, pieces = together(row), robots.checked_pieces(robot)
-    found = ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot))
+    length = np.linalg.norm(arm.tip - arm.tcp, axis=-1, keepdims=True)  # of the bare tip
+    tip = arm.tcp + np.minimum(SKIN_M / np.maximum(length, SKIN_M), 1) * (arm.tip - arm.tcp)
+    found = ShownBodies(arm.p, arm.q, np.asarray(robot.capsule_radius), is_tool(robot), tip=tip)
     if not pieces:
         return found
     hulls = {k: _hull(*piece) for k, piece in pieces.items()}

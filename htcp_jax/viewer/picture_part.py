@@ -41,7 +41,7 @@ class Part(NamedTuple):
 
     def _draw_points(self, axes: Axes, at: Viewpoint) -> None:
         view, depth = at.view, self.cloud @ at.view.near
-        behind = np.flatnonzero(depth <= cut_depth(self.cloud, view)) if at.cut else np.arange(len(depth))
+        behind = np.flatnonzero(depth <= cut_depth(self.cloud, at))
         behind = behind[np.argsort(depth[behind])]
         flat = view.flat(self.cloud[behind])
         look = {"linestyle": "", "marker": "o", "markersize": np.sqrt(1.2), "markeredgewidth": 0, "rasterized": True}
@@ -51,7 +51,7 @@ class Part(NamedTuple):
 
     def _draw_mesh(self, axes: Axes, at: Viewpoint) -> None:
         near, depth = at.view.near, self.cloud @ at.view.near
-        kept = cut_triangles(self.triangles, near, cut_depth(self.cloud, at.view)) if at.cut else self.triangles
+        kept = cut_triangles(self.triangles, near, cut_depth(self.cloud, at)) if at.cut else self.triangles
         kept = surface.pieces(kept, float(np.ptp(self.cloud, axis=0).max()) / SORTED, "picture")
         height = kept.mean(axis=1) @ near
         order = np.argsort(height)

@@ -219,7 +219,7 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
 
 def _add_part(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corners: int, at: Viewpoint) -> None:
     """Add the workpiece, or its half behind the cut: its own triangles, or discs of a cloud; both sides of them."""
-    near, share = at.view.near, 0.5 if at.cut else 0.0
+    near, share = at.view.near, at.cut
     if has_mesh := len(replay.triangles) > 0:
         kept = drawn_meshes.cut_triangles(replay.triangles, near, cut_plane(replay, share, near))
     else:

@@ -106,8 +106,8 @@ class Replay(NamedTuple):
     segment_clearance: Float[np.ndarray, "T"]  # guaranteed clearance along the segment to each target
     obstruction: Obstruction | None  # colliding body at the failed target
     triangles: Float[np.ndarray, "M 3 3"]  # mesh of the workpiece, world [m]; none for a cloud, which `surface` shows
-    sides: tuple[Viewpoint, Viewpoint]  # viewpoints relative to the part: the best, and one from another side
-    sides_in_world: tuple[Viewpoint, Viewpoint]  # viewpoints in the world
+    sides: tuple[Viewpoint, ...]  # two viewpoints relative to the part: the best, and one from another side
+    sides_in_world: tuple[Viewpoint, ...]  # two viewpoints in the world
     fixtures: surfaces.WorldGeometry  # other obstacles
     normals: NormalGlyphs  # normals of the path; empty if the task does not refer to them
     file: ShownFile | None = None  # proof of the file from which the motion is; None: it was planned
@@ -145,6 +145,17 @@ class Replay(NamedTuple):
     def arm_at(self, target: int) -> kinematics.ArmShape:
         """Return the arm at one target."""
         return kinematics.ArmShape(*(part[target] for part in self.shape))
+
+    def seen_at(self, targets: Sequence[int]) -> "Replay":
+        """Return the plan with the best viewpoints for pictures of the arm at some targets."""
+        poses = [ArmPose(self.arm_at(t), t, False, self.T_root[t], self.links[t]) for t in targets]
+        path = self.target[self.path :] if len(self.target) > self.path + 1 else self.target
+        bodies = shown_bodies(self.robot, [seen(each, True) for each in poses])
+        scene = ShownScene(self.cloud, path, bodies, self.triangles, self.fixtures.triangles)
+        sides = sides_in_world = camera_views([scene])
+        if self.robot.part_moves:
+            sides_in_world = camera_views([_scene_in_world(scene, self.robot, each) for each in poses], moves=True)
+        return self._replace(sides=sides, sides_in_world=sides_in_world)
 
 
 class Replays:
@@ -206,20 +217,10 @@ class Replays:
             narrowest, nearest = (None, x[0]) if self.file.nearest is None else (self.file.first, self.file.nearest)
             looked_at = np.tile(nearest, (len(looked_at), 1))
         witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
-        shape = arms_at(robot, x)
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
         shown = _shown_targets(np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
-        path, T_root = target[on_path:] if len(target) > on_path + 1 else target, roots_at(robot, x)
-        links, triangles = links_at(robot, x), moved(cell.triangles, placement.T_world_workpiece)
-        arms = [kinematics.ArmShape(*(part[t] for part in shape)) for t in shown]
-        poses = [ArmPose(arm, int(t), False, T_root[t], links[t]) for arm, t in zip(arms, shown, strict=True)]
-        scene = ShownScene(surface.points, path, shown_bodies(robot, [seen(each, True) for each in poses]), triangles)
-        scene = scene._replace(fixtures=cell.fixtures.triangles)
-        sides = sides_in_world = camera_views([scene])
-        if robot.part_moves:
-            sides_in_world = camera_views([_scene_in_world(scene, robot, each) for each in poses], moves=True)
-        return Replay(
+        replay = Replay(
             method=method,
             number=number,
             label=self.label(number),
@@ -232,9 +233,9 @@ class Replays:
             residual=plans.residual[number, there],
             orientation_error=plans.orientation_error[number, there],
             x=x,
-            shape=shape,
-            T_root=T_root,
-            links=links,
+            shape=arms_at(robot, x),
+            T_root=roots_at(robot, x),
+            links=links_at(robot, x),
             witness=witness.rows(slice(len(x))),
             motion=motions.motions(alone, on_path, np.logical_and.accumulate(alone.tracked, axis=1)).of(0),
             summary=summary,
@@ -242,13 +243,14 @@ class Replays:
             segment_status=plans.segment_status[number, there],
             segment_clearance=plans.segment_clearance[number, there],
             obstruction=blocked,
-            triangles=triangles,
-            sides=sides,
-            sides_in_world=sides_in_world,
+            triangles=moved(cell.triangles, placement.T_world_workpiece),
+            sides=(),
+            sides_in_world=(),
             fixtures=cell.fixtures,
             normals=glyphs(cell.config.task_rows, cell.workpiece, placement.T_world_workpiece),
             file=self.file,
         )
+        return replay.seen_at(shown.tolist())
 
     def label(self, number: int) -> str:
         """Return a scenario's number and varied parameters as text."""

@@ -1,10 +1,12 @@
 """Choice of a viewpoint: the side from which the arm, the workpiece and the cell hide least of the path and the tool.
 
-DIRECTIONS horizontal directions are compared, with and without the half of the workpiece that faces the camera. Rays
-from points of the path, the tool and the workpiece to a distant camera are cast against the triangles that are drawn:
-the workpiece's mesh, the convex pieces of the arm, and the fixtures. Capsules and the points of a cloud are tested as
-such. Penalties apply to sides from which the path is foreshortened, to a cut, and to a cut that removes the wall along
-the path. The result is deterministic.
+DIRECTIONS horizontal directions are compared: with the complete workpiece, without what is in front of the path, and
+without the half that faces the camera. Rays from points of the path, the tool and the workpiece to a distant camera are
+cast against the triangles that are drawn: the workpiece's mesh, the convex pieces of the arm, and the fixtures.
+Capsules and the points of a cloud are tested as such. A side shows the plan if most of the path's length and of the
+tool's tips are visible. Sides that show it with the complete part come first, then those that show it with a part that
+is cut open in front of the path, then all others. Among these, penalties apply to sides from which the path is
+foreshortened, to a cut, and to a cut that removes the wall along the path. The result is deterministic.
 """
 
 from collections.abc import Sequence
@@ -14,16 +16,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 DIRECTIONS = 16
-ABOVE_RAD = np.radians(16.0), np.radians(40.0)  # angles by which a camera looks downwards
+ABOVE_RAD = np.radians(16.0), np.radians(40.0), np.radians(62.0)  # angles by which a camera looks downwards
 ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # horizontal angles between a camera and the normal of the open side
 SQUARE = 0.05  # bonus for the view perpendicular to the path, in units of the hidden share of the path
-HIDDEN_TOOL, HIDDEN_PART = 1.0, 0.8  # weights of the hidden shares of the tool, and of the part behind the arm
+HIDDEN_TOOL, HIDDEN_TIP = 1.0, 0.5  # weights of the hidden shares of the tool, and of its tips
+HIDDEN_PART = 0.8  # weight of the hidden share of the part behind the arm
+HALF = 0.5  # share of the workpiece that is cut off if the path reaches over it
+MOST_HIDDEN = 0.5  # a side shows the plan if less than this share of the path, and of the tips, is hidden
+IN_FRONT_M = 0.03  # a cut nearer to the path than this removes the wall along the path
 FORESHORTENED, CUT_OFF, CUT, STEEP = 0.3, 0.3, 0.1, 0.03  # weights of the penalties; STEEP: for the steeper camera
 SPACED = 300  # maximum number of points whose distance from the nearest other point is measured
 MOST_POINTS, MOST_RAYS, ALONG = 3000, 40, 5  # maximum numbers of cloud points and of rays; samples of a tool's axis
 SKIN_M = 0.005  # what is less far in front of a point does not hide it: a target is drawn as a bead
+TIP_SKIN_M = 0.001  # the same for a tip, which is free: SKIN_M before the TCP
 AT_ONCE = 2_000_000  # maximum number of pairs of ray and triangle that are tested together
 APART_RAD = np.radians(60.0)  # minimum angle between two sides from which the same plan is drawn
+LEAST_APART_RAD = np.radians(20.0)  # the same if fewer sides show the plan
+COMPLETE, CUT_OPEN, HIDES = range(3)  # tiers of viewpoints: the plan is shown by the complete part, by a cut one, not
 
 NO_TRIANGLES = np.empty((0, 3, 3))
 Mask = Bool[np.ndarray, "n"]
@@ -42,12 +51,12 @@ class View(NamedTuple):
 
 
 class Viewpoint(NamedTuple):
-    """The open side, the camera's angles, and True if the half of the workpiece on the open side is cut off."""
+    """The open side, the camera's angles, and the part of the workpiece on the open side that is cut off."""
 
     view: View
     aside_rad: float  # horizontal angle to the open side's normal
     above_rad: float  # angle above the horizontal
-    cut: bool
+    cut: float  # share of the workpiece's extent that is cut off; 0: the workpiece is complete
 
     @property
     def toward(self) -> Float[np.ndarray, "3"]:
@@ -67,11 +76,12 @@ class ShownBodies(NamedTuple):
     tool: Bool[np.ndarray, "K"]
     triangles: Float[np.ndarray, "F E 3 3"] | None = None  # None: all bodies are drawn as capsules
     capsule: Int[np.ndarray, "E"] | None = None  # capsule in whose place each triangle is drawn
+    tip: Float[np.ndarray, "F 3"] | None = None  # tip of the tool; None: its visibility does not matter
 
     def only(self, f: int) -> "ShownBodies":
         """Return the bodies at one of the configurations."""
-        own = None if self.triangles is None else self.triangles[f : f + 1]
-        return self._replace(p=self.p[f : f + 1], q=self.q[f : f + 1], triangles=own)
+        own, tip = (None if each is None else each[f : f + 1] for each in (self.triangles, self.tip))
+        return self._replace(p=self.p[f : f + 1], q=self.q[f : f + 1], triangles=own, tip=tip)
 
 
 class ShownScene(NamedTuple):
@@ -86,20 +96,27 @@ class ShownScene(NamedTuple):
 
 def flat_side(scene: ShownScene) -> Viewpoint:
     """Return the best side for a horizontal, orthographic view."""
-    return best_views([scene], (0.0,), (0.0,), (False, True))[0]
+    return best_views([scene], (0.0,), (0.0,))[0]
 
 
 def camera_views(scenes: Sequence[ShownScene], moves: bool = False) -> tuple[Viewpoint, Viewpoint]:
-    """Return the best viewpoint of a camera that looks downwards, and the best one at least APART_RAD from it.
+    """Return the best viewpoint of a camera that looks downwards, and the best one from another side.
+
+    The other side is at least APART_RAD from the first. If none of these shows the plan, it is the side that shows it
+    and is farthest from the first, by at least LEAST_APART_RAD.
 
     Args:
         scenes: Scenes over which the mean is taken.
         moves: True for a part that moves, which is not cut.
     """
-    views = best_views(scenes, ASIDE_RAD, ABOVE_RAD, (False,) if moves else (False, True))
-    level = [each.toward[:2] / np.linalg.norm(each.toward[:2]) for each in views]
-    apart = (each for each, own in zip(views, level, strict=True) if own @ level[0] < np.cos(APART_RAD) + 1e-9)
-    return views[0], next(apart)
+    ranked = _ranked(scenes, ASIDE_RAD, ABOVE_RAD, cuts=not moves)
+    level = np.array([each.at.toward[:2] / np.linalg.norm(each.at.toward[:2]) for each in ranked])
+    near = (level @ level[0]).round(9)  # cosine of the horizontal angle to the best side
+    other = int((near <= np.cos(APART_RAD).round(9)).argmax())
+    shows = np.array([each.tier < HIDES for each in ranked])
+    if not shows[other] and near[shows].min(initial=1.0) <= np.cos(LEAST_APART_RAD):
+        other = int(np.where(shows, near, 1.0).argmin())
+    return ranked[0].at, ranked[other].at
 
 
 def view_from_side(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "T 3"]) -> View:
@@ -111,7 +128,7 @@ def view_from_side(cloud: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "
 
 
 def best_views(
-    scenes: Sequence[ShownScene], asides: Sequence[float], aboves: Sequence[float], cuts: Sequence[bool]
+    scenes: Sequence[ShownScene], asides: Sequence[float], aboves: Sequence[float], cuts: bool = True
 ) -> list[Viewpoint]:
     """Return all viewpoints of these angles, the best mean over the scenes first.
 
@@ -119,20 +136,38 @@ def best_views(
         scenes: The scenes.
         asides: Horizontal angles between the camera and the open side's normal [rad].
         aboves: Angles of the camera above the horizontal [rad].
-        cuts: Whether to cut off the half of the workpiece on the open side.
+        cuts: True for viewpoints with cut workpieces, too.
     """
+    return [each.at for each in _ranked(scenes, asides, aboves, cuts)]
+
+
+class _Ranked(NamedTuple):
+    """A viewpoint with its tier, and its penalties."""
+
+    tier: int
+    badness: float
+    at: Viewpoint
+
+
+def _ranked(
+    scenes: Sequence[ShownScene], asides: Sequence[float], aboves: Sequence[float], cuts: bool = True
+) -> list[_Ranked]:
+    """Return all viewpoints with their tiers and penalties, the best first; see `best_views`."""
     scenes = [_sampled(each) for each in scenes]
     square, radius = view_from_side(scenes[0].cloud, scenes[0].path), 1.5 * _spacing(scenes[0].cloud)
     found = []
     for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:  # the perpendicular side first; it wins ties
         view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
+        shares = _cuts(scenes[0], view) if cuts else [0.0]
         for above in aboves:
             for aside in asides:
-                one = [Viewpoint(view, aside, above, cut) for cut in cuts]
-                bad = np.mean([_badness(scene, one, radius) for scene in scenes], axis=0)
-                bad = bad - SQUARE * (turn == 0) + STEEP * (above > min(aboves))
-                found += zip(bad.round(9).tolist(), one, strict=True)
-    return [each for _, each in sorted(found, key=lambda each: each[0])]
+                views = [Viewpoint(view, aside, above, cut) for cut in shares]
+                found_shares = np.mean([_shares(scene, views, radius) for scene in scenes], axis=0)
+                for at, (bad, *hidden) in zip(views, found_shares.tolist(), strict=True):
+                    tier = HIDES if max(hidden) >= MOST_HIDDEN else CUT_OPEN if at.cut else COMPLETE
+                    bad += STEEP * aboves.index(above) - SQUARE * (turn == 0)
+                    found.append(_Ranked(tier, round(bad, 9), at))
+    return sorted(found, key=lambda each: each[:2])
 
 
 def hidden_targets(scene: ShownScene, at: Viewpoint) -> Bool[np.ndarray, "F T"]:
@@ -152,40 +187,64 @@ def _sampled(scene: ShownScene) -> ShownScene:
     return scene._replace(cloud=cloud[:: -(-len(cloud) // MOST_POINTS)], path=path[:: -(-len(path) // MOST_RAYS)])
 
 
-def _badness(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> list[float]:
-    """Return the weighted sum of hidden shares and penalties for viewpoints that differ only in the cut."""
+def _shares(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> list[tuple[float, ...]]:
+    """Return four numbers for viewpoints that differ only in the cut.
+
+    They are the weighted sum of hidden shares and penalties, the share of the path's length that is hidden or lost by
+    projection, the hidden share of the tips, and the share of the path along which the cut removes the wall.
+    """
     toward, arm, path = views[0].toward, scene.arm, scene.path
     along = np.linspace(0, 1, ALONG)[:, None, None]
     tool = ((1 - along) * arm.p[:, None, arm.tool] + along * arm.q[:, None, arm.tool]).reshape(len(arm.p), -1, 3)
     part = scene.cloud[:: -(-len(scene.cloud) // MOST_RAYS)]
     by_arm, links = _by_arm(arm, path, toward), ~arm.tool
     tool_by_links = np.stack([_by_arm(arm.only(f), own, toward, links)[0] for f, own in enumerate(tool)])
-    always = HIDDEN_PART * _by_arm(arm, part, toward, links).mean() + FORESHORTENED * _foreshortened(path, toward)
+    short = _foreshortened(path, toward)
+    always = HIDDEN_PART * _by_arm(arm, part, toward, links).mean() + FORESHORTENED * short
+    tips = np.empty((0, 3)) if arm.tip is None else arm.tip
+    tip_by_arm = np.array([_by_arm(arm.only(f), tips[f : f + 1], toward)[0, 0] for f in range(len(tips))], bool)
     found = []
     for at in views:
         hides_tool = tool_by_links | _by_walls(scene, at, tool.reshape(-1, 3), radius).reshape(tool.shape[:2])
-        hides_path = by_arm | _by_walls(scene, at, path, radius)
-        share = hides_path.mean() + (HIDDEN_TOOL * hides_tool.mean() if tool.size else 0.0)
-        lost = (path @ at.view.near > cut_depth(scene.cloud, at.view)).mean() if at.cut else 0.0
-        found.append(float(share + always + (CUT + CUT_OFF * lost if at.cut else 0.0)))
+        hides_path = (by_arm | _by_walls(scene, at, path, radius)).mean()
+        hides_tip = (tip_by_arm | _by_walls(scene, at, tips, radius, TIP_SKIN_M)).mean() if len(tips) else 0.0
+        share = hides_path + HIDDEN_TIP * hides_tip + (HIDDEN_TOOL * hides_tool.mean() if tool.size else 0.0)
+        lost = (path @ at.view.near > cut_depth(scene.cloud, at) - IN_FRONT_M + 1e-9).mean() if at.cut else 0.0
+        found.append(
+            (
+                share + always + (CUT + CUT_OFF * lost if at.cut else 0.0),
+                1 - (1 - hides_path) * (1 - short),
+                hides_tip,
+                lost,
+            )
+        )
     return found
 
 
-def cut_depth(cloud: Float[np.ndarray, "P 3"], view: View) -> float:
-    """Return the depth of the plane in the middle of the cloud at which it is cut [m], see `View.near`."""
-    depth = cloud @ view.near
-    return float((depth.max() + depth.min()) / 2)
+def _cuts(scene: ShownScene, view: View) -> list[float]:
+    """Return the cuts that are compared, see `Viewpoint.cut`: none, what is in front of the path, the half."""
+    depth = scene.cloud @ view.near
+    share = (depth.max() - (scene.path @ view.near).max() - IN_FRONT_M) / max(np.ptp(depth), 1e-9)
+    return [0.0, *([float(share)] if 0 < share < HALF else []), HALF]
 
 
-def _by_walls(scene: ShownScene, at: Viewpoint, points: Float[np.ndarray, "n 3"], radius: float) -> Mask:
+def cut_depth(cloud: Float[np.ndarray, "P 3"], at: Viewpoint) -> float:
+    """Return the depth of the plane at which the cloud is cut [m], see `View.near`."""
+    depth = cloud @ at.view.near
+    return float(depth.max() - at.cut * np.ptp(depth))
+
+
+def _by_walls(
+    scene: ShownScene, at: Viewpoint, points: Float[np.ndarray, "n 3"], radius: float, skin_m: float = SKIN_M
+) -> Mask:
     """Return True for points that the workpiece or the fixtures hide.
 
     What remains of triangles after a cut hides the ray where it meets them behind the cut.
     """
-    toward, hides = at.toward, shadowed(points, scene.fixtures, at.toward)
-    most = (at.view.near, cut_depth(scene.cloud, at.view)) if at.cut else None
+    toward, hides = at.toward, shadowed(points, scene.fixtures, at.toward, skin_m=skin_m)
+    most = (at.view.near, cut_depth(scene.cloud, at)) if at.cut else None
     if len(scene.triangles):
-        return hides | shadowed(points, scene.triangles, toward, most)
+        return hides | shadowed(points, scene.triangles, toward, most, skin_m)
     cloud = scene.cloud if most is None else scene.cloud[scene.cloud @ most[0] <= most[1]]
     return hides | _behind(cloud, radius, points, toward)
 
@@ -224,14 +283,16 @@ def shadowed(
     triangles: Float[np.ndarray, "M 3 3"],
     toward: Float[np.ndarray, "3"],
     most: tuple[Float[np.ndarray, "3"], float] | None = None,
+    skin_m: float = SKIN_M,
 ) -> Mask:
-    """Return True for points from which a ray meets a triangle more than SKIN_M away.
+    """Return True for points from which a ray meets a triangle more than `skin_m` away.
 
     Args:
         points: The points [m].
         triangles: The triangles [m].
         toward: Unit direction of the rays.
         most: Normal and depth of a plane, beyond which triangles are cut off [m]; None: no cut.
+        skin_m: What is less far in front of a point does not hide it [m].
     """
     found = np.zeros(len(points), bool)
     if not len(triangles) or not len(points):
@@ -240,7 +301,7 @@ def shadowed(
     p, d = points @ plane, points @ toward
     t, far = triangles @ plane, triangles @ toward
     overlap = (t.min(axis=1) <= p.max(axis=0)).all(axis=1) & (t.max(axis=1) >= p.min(axis=0)).all(axis=1)
-    chosen = np.flatnonzero(overlap & (far.max(axis=1) > d.min() + SKIN_M))
+    chosen = np.flatnonzero(overlap & (far.max(axis=1) > d.min() + skin_m))
     for some in np.array_split(chosen, max(1, -(-len(chosen) * len(points) // AT_ONCE))):
         a, (e, g) = t[some, 0], np.moveaxis(t[some, 1:] - t[some, :1], 1, 0)
         area = e[:, 0] * g[:, 1] - e[:, 1] * g[:, 0]
@@ -248,7 +309,7 @@ def shadowed(
         x, y = np.moveaxis(p[:, None] - a, 2, 0)
         u, v = (x * g[:, 1] - y * g[:, 0]) / safe, (y * e[:, 0] - x * e[:, 1]) / safe
         deep = far[some, 0] + u * (far[some, 1] - far[some, 0]) + v * (far[some, 2] - far[some, 0])
-        meets = (u >= 0) & (v >= 0) & (u + v <= 1) & (deep > d[:, None] + SKIN_M) & (area != 0)
+        meets = (u >= 0) & (v >= 0) & (u + v <= 1) & (deep > d[:, None] + skin_m) & (area != 0)
         if most is not None:
             normal, offset = most
             meets &= (points @ normal)[:, None] + (deep - d[:, None]) * (toward @ normal) <= offset

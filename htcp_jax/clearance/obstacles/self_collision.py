@@ -42,6 +42,7 @@ RULES = {
     "c": "whose links do not touch where the capsules overlap",
     "d": "by the job",
 }
+COULD_COLLIDE = "bd"  # rules by which pairs are excluded that could collide
 Ends = Float[jax.Array, "K 3"]
 
 
@@ -110,6 +111,11 @@ class SelfCollision(Obstacle):
         counts = Counter(each.rule for each in self.excluded)
         excluded = ", ".join(f"{counts[rule]} {RULES[rule]}" for rule in RULES if counts[rule])
         return f"{len(self.pairs)} pairs of bodies" + (f"; excluded: {excluded}" if excluded else "")
+
+    @property
+    def unchecked(self) -> tuple[robots.Exclusion, ...]:
+        """Excluded pairs that could collide."""
+        return tuple(each for each in self.excluded if each.rule in COULD_COLLIDE)
 
     def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
         """Return the rows' keys, (body, link), with the indices of each row's pairs."""
