@@ -35,7 +35,7 @@ FEWEST_EQUAL = 3  # number of moving bodies with equal masses from which on the 
 AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
 TORQUES_EVERY_S = 0.01  # time step between samples
 # On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
-PLAIN = {"xla_cpu_use_fusion_emitters": False}
+PLAIN = {"xla_disable_hlo_passes": "fusion"}
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
 
 
