@@ -410,7 +410,7 @@ class Plan:
             )
         if self.start_cause is not None:
             facts["cause"] = self.start_cause.description
-        elif self.obstruction is not None:
+        elif self.obstruction is not None and (self.obstruction.reached or end.failed or self.job.start is not None):
             facts[self.obstruction.heading] = self.obstruction.description
         nearest = self.start_cause and self.start_cause.attempt
         if refused is not None:

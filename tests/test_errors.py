@@ -131,8 +131,8 @@ def test_the_sentence_rounds_down_and_names_what_is_off():
     errors = read_errors({"part": {"shift_m": 5e-4, "turn_rad": [1e-3, 2e-3, 1e-3]}, "joints_rad": 1e-4})
     text = scale_text(errors, ErrorScale(1.2999, False, 3, 0.5, 1, 0, 10))
     assert text == (
-        "proven with the part displaced by up to 0.645 mm and turned by up to 0.0739, 0.147, 0.0739 degrees; each "
-        "joint off by up to 0.00739 degrees (1.29 times the errors stated)"
+        "proven with the part displaced by up to 0.645 mm along each axis and turned by up to 0.0739, 0.147, 0.0739 "
+        "degrees about each axis; each joint off by up to 0.00739 degrees (1.29 times the errors stated)"
     )
     assert scale_text(errors, ErrorScale(0.5, False, 3, 0.5, 1, 0, 10)).startswith("not proven for the errors stated; ")
     assert "motion itself is not proven" in scale_text(errors, None)

@@ -8,6 +8,7 @@ import toy
 
 from htcp_jax.jobs import load_config
 from htcp_jax.motion import Plans, Problem
+from htcp_jax.motion.plans import Outcome
 from htcp_jax.planning.refused_segment import RefusedSegment, refused_segment
 from htcp_jax.reachability.obstruction import obstruction
 from htcp_jax.runs import failure_texts
@@ -105,3 +106,12 @@ def test_the_next_command_follows_from_the_reason():
     own = load_config(None, ["settings.effort=8"])
     assert "settings.transfers=true" in failure_texts.next_step(_end(Status.PATH_BLOCKED), seen, {}, own, "")["next"]
     assert not failure_texts.next_step(_end(Status.TIP_BLOCKED), seen, {}, job, "job.yaml")
+
+
+def test_a_suggested_command_replaces_an_earlier_value_of_the_same_key():
+    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None)
+    given = "job.yaml --set margin_m=0.04 --set 'home_rad=[0, 1]'"
+    found = failure_texts.next_step(end, None, {}, job, given, start_m=0.00085)["next"]
+    assert found.startswith("htcp plan job.yaml --set 'home_rad=[0, 1]' --set margin_m=0.0004   ")
+    denser = failure_texts.next_step(end, None, {}, job, "job.yaml", spacing_m=0.003)["next"]
+    assert denser.startswith("htcp plan job.yaml --set workpiece.mesh_spacing_m=0.003   ")

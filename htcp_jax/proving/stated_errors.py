@@ -152,9 +152,9 @@ def _displacement(name: str, sizes: tuple | None, scale: float) -> list[str]:
         return []
     texts = []
     if any(sizes[0]):
-        texts.append(f"displaced by up to {_sizes(sizes[0], scale, 1e3, 'mm')}")
+        texts.append(f"displaced by up to {_sizes(sizes[0], scale, 1e3, 'mm')} along each axis")
     if any(sizes[1]):
-        texts.append(f"turned by up to {_sizes(sizes[1], scale, math.degrees(1), 'degrees')}")
+        texts.append(f"turned by up to {_sizes(sizes[1], scale, math.degrees(1), 'degrees')} about each axis")
     return [f"{name} {' and '.join(texts)}"]
 
 

@@ -112,7 +112,8 @@ def plain_lines(found: dict[str, Any], is_sweep: bool) -> dict[str, str]:
     rows = [row | {"method": check["method"]} for check in checks for row in check.get("rows", ())]
     if rows := [row for row in rows if row["unit"] != "mm"] or rows:
         row = max(rows, key=lambda each: each["off"] / each["most"] if each["most"] else each["off"])
-        facts["task"] = f"{row['row']}: {row['off']:.3g} of {row['most']:.3g} {row['unit']} used, the most of all rows"
+        used = f"{row['off']:.3g} of {row['most']:.3g} {row['unit']} used, the most of all rows"
+        facts["task"] = f"{row['row']}: {used if row['off'] else 'within its range everywhere, as all rows'}"
     if at := _worst(checks, "speed_ratio_max", max):
         speed = f"{100 * at['speed_ratio_max']:.2g} % of the limit of {at['speed_joint']}"
         facts["joint speeds"] = f"at most {speed}, for a feed rate of {found['feed_mm_s']:g} mm/s"

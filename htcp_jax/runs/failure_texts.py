@@ -102,13 +102,16 @@ def next_step(
         start_m: Largest clearance found at the first target, if it is less than the margin; else None.
     """
     if spacing_m is not None:
-        change = f"--set {surface.KEY}={spacing_m:g}"
-        return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   covers the part's mesh more densely"}
+        return {"next": _planned(given, f"{surface.KEY}={spacing_m:g}", "covers the part's mesh more densely")}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
     if end.status == Status.NO_START and start_m is not None:
-        digit = 10.0 ** (math.floor(math.log10(start_m)) - 1)
-        change = f"--set margin_m={math.floor(start_m / digit) * digit:.2g}"
-        return {"next": f"{' '.join(filter(None, ['htcp plan', given, change]))}   requires what was found there"}
+        digit = 10.0 ** math.floor(math.log10(start_m / 2))
+        change = f"margin_m={math.floor(start_m / 2 / digit) * digit:.1g}"
+        return {
+            "next": _planned(
+                given, change, "requires at most half of what was found there; other places may be tighter"
+            )
+        }
     if end.status == Status.NO_START:
         return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
     if end.status not in MEASURED:
@@ -118,7 +121,19 @@ def next_step(
     change = _change(end, refused, job)
     if change is None:
         return {"next": f"{each}   tests every target, and names what prevents it"}
-    return {"next": " ".join(filter(None, ["htcp plan", given, f"--set {change[0]}"])) + f"   {change[1]}"}
+    return {"next": _planned(given, *change)}
+
+
+def _planned(given: str, change: str, why: str) -> str:
+    """Return the command that plans with one key changed, and what the change does."""
+    words, key = shlex.split(given), change.partition("=")[0]
+    kept = [
+        word
+        for k, word in enumerate(words)
+        if not (word == "--set" and words[k + 1].startswith(f"{key}="))
+        and not (k and words[k - 1] == "--set" and word.startswith(f"{key}="))
+    ]
+    return f"{shlex.join(['htcp', 'plan', *kept, '--set', change])}   {why}"
 
 
 def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
