@@ -31,6 +31,7 @@ from htcp_jax.model.kinematics import point_jacobians, tcp_position
 from htcp_jax.motion import CollisionChecker, Execution, Plans, Problem, step_functions
 from htcp_jax.motion.step_functions import MEASURED as READS_OF_MEASURED
 from htcp_jax.motion.step_functions import measured
+from htcp_jax.planning import methods as planning_methods
 from htcp_jax.planning import registry
 from htcp_jax.planning.batch import plan
 from htcp_jax.planning.tracking import StepQPs
@@ -214,7 +215,7 @@ def late_anchor(runs: Runs) -> None:
 
     def row(name):
         each_step = runs.success(name)
-        stages = [AnchoredAtTheEnd(stage.minimise, stage.settings) for stage in registry.METHODS.find(name).stages]
+        stages = [AnchoredAtTheEnd(stage.minimise, stage.settings) for stage in planning_methods.find(name).stages]
         with registered(StepQPs("own", "own", "own", stages=tuple(stages))) as own:
             last_step = runs.success(own)
         paper = " / ".join(f"{PAPER[sweep][0][SIX.index(name)]:.2f}" for sweep in SWEEPS)
