@@ -24,7 +24,8 @@ from htcp_jax.motion import Problem, motion
 from htcp_jax.planning import methods
 from htcp_jax.runs import open_plans
 from htcp_jax.runs.seam_order import SeamOrder
-from htcp_jax.status import Kind
+from htcp_jax.sequencing.seam_plans import _Configurations
+from htcp_jax.status import Kind, SegmentStatus
 from htcp_jax.viewer import draw_plan
 
 LEFT, RIGHT = (
@@ -98,6 +99,16 @@ def test_a_seam_out_of_reach_is_missing_with_its_reason_and_the_others_are_done(
     order = summary(planned)["order"]
     assert {visit["name"] for visit in order["visits"]} == {"left", "right"}
     assert list(order["missing"]) == ["far"] and order["missing"]["far"].startswith("a target is farther away")
+
+
+def test_the_way_back_home_is_one_of_its_own_although_a_seam_is_missing(planned):
+    """The arm does not go back over the seams that it has done."""
+    plan = api.open_plan(planned)
+    there, both = plan.motion(), plan.motion(retract=True)
+    np.testing.assert_array_equal(both.x[len(there.x) :], plan.plans.retract.x)
+    stopped = plan.plans._replace(segment_status=plan.plans.segment_status.copy())
+    stopped.segment_status[0, 2] = SegmentStatus.IN_COLLISION  # the motion ends within a seam
+    assert stopped.way_back(0) is None
 
 
 def test_a_job_none_of_whose_seams_is_done_is_a_result_with_their_reasons(tmp_path, capsys):
@@ -333,6 +344,16 @@ def plans_of(folder, *seams, **changes):
     made = sequencing.plan_seams([problem], found.variants, home, speed, methods.find(job.method), seen.append)
     moves = sequencing.moves_between(problem, made.found, home, speed)
     return found, made.found, moves, seen
+
+
+def test_without_sampled_variants_no_configuration_is_near(tmp_path):
+    """As where no draw is clear at the first point of any seam that was planned from home."""
+    job, robot = build.with_robot(load_config(write_job(tmp_path, LEFT)), "job")
+    found = seam_scenarios.seam_scenarios(job, robot)
+    (task,), obstacles = found.tasks, build.obstacles_of(job.cell, robot)
+    problem = Problem.of(robot, found.workpiece, found.scenarios, job.settings, task, obstacles)
+    near = _Configurations.near([problem], found.variants, np.zeros(0, int), problem.scenarios.x_home)
+    assert near.variant.shape == (0,) and near.x.shape == (0, len(robot.joint_names))
 
 
 def test_one_direction_of_a_seam_is_planned_from_home_and_its_motions_serve_both(tmp_path):

@@ -64,8 +64,8 @@ def motion(plans: Plans, scenario: int, on_path: int, *, retract: bool = False) 
     there = motions(plans.rows([scenario]), on_path).of(0)
     if not retract:
         return there
-    if plans.retract is not None and plans.executable[scenario].all():
-        x = plans.retract.x
+    if (own := plans.way_back(scenario)) is not None:
+        x = own.x
         last = np.full(len(x), there.target[-1])
         back = Motion(x, last, np.full(len(x), Kind.RETRACT, np.int8), np.tile([0.0, 1.0], (len(x), 1)))
         return Motion(*map(np.concatenate, zip(there, back, strict=True)))

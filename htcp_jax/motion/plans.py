@@ -131,7 +131,9 @@ class Plans(NamedTuple):
     dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and the attempts after them
     # First targets of the second and of each later seam, in all scenarios; the segments to them are transfers
     seam_begins: tuple[int, ...] = ()
-    retract: Retract | None = None  # the motion from the last seam back to the start; None: all of the motion reversed
+    retract: Retract | None = (
+        None  # the motion from the last seam done back to the start, see `way_back`; None: all reversed
+    )
     cpu_s: float = 0.0  # processor time of all threads and processes, without `Execution.warm_up` [s]; NaN: unknown
 
     @classmethod
@@ -194,6 +196,17 @@ class Plans(NamedTuple):
     def blocked(self) -> Bool[np.ndarray, "S T"]:
         """True for tracked targets whose joint path from the previous row is known to collide."""
         return self.tracked & (self.path_clear == 0)
+
+    def way_back(self, scenario: int) -> "Retract | None":
+        """Return the motion from the end of the last seam that is done back to the start; None: all reversed.
+
+        Missing seams follow the others, so the motion ends before the first target of one.
+        """
+        after = int(self.executable[scenario].sum())
+        if after == self.executable.shape[1]:
+            return self.retract
+        ends_before_a_missing_seam = after in self.seam_begins and not self.tracked[scenario, after]
+        return self.retract if ends_before_a_missing_seam else None
 
     @property
     def begins_seam(self) -> Bool[np.ndarray, "T"]:

@@ -118,9 +118,10 @@ def plan_seams(
     if not len(rows := np.flatnonzero(usable & done)):
         return SeamPlans([], lost, compile_s)
     samples = _Configurations.sampled(problems, variants, rows)
-    rows, x = _starts(problems, variants, samples, found, home, speed)
-    if len(x):
-        add(rows, x, "; from other configurations")
+    if len(samples.variant):
+        rows, x = _starts(problems, variants, samples, found, home, speed)
+        if len(x):
+            add(rows, x, "; from other configurations")
     return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
 
 
@@ -202,7 +203,7 @@ class _Configurations(NamedTuple):
 
         Indexed axes are where they are in the other configurations, so that they need not move between the seams.
         """
-        parts = list[_Configurations]()
+        parts = [cls(np.zeros(0, int), x[:0])]
         for problem, rows in _by_problem(problems, variants, variant):
             checker, lane = problem.checkers[0], np.repeat(variant[rows], len(x))
             with devices.on(checker.executor.device):

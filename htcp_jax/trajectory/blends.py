@@ -70,8 +70,8 @@ def motion_slack(plans: Plans, scenario: int, motion: Motion, tube_m: float, rob
         off = np.maximum(off, np.maximum(at[1:], at[:-1]))
     tube = np.where(np.isin(kind, (Kind.PROCESS, Kind.DWELL)), tube_m - off, np.inf)
     back = len(motion.x) - there
-    reversed_ = plans.retract is None or not plans.executable[scenario].all()
-    after = clearance[::-1] if reversed_ else plans.retract.clearance
+    own = plans.way_back(scenario)
+    after = clearance[::-1] if own is None else own.clearance
     return MotionSlack(np.append(clearance, after[:back]), np.append(tube, np.full(back, np.inf)))
 
 
