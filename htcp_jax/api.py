@@ -393,7 +393,9 @@ class Plan:
     def failure(self) -> dict[str, str]:
         """Return text by label: the failed target, the reason and the colliding body; empty if the plan is complete."""
         if self.order is not None:
-            return self.order.failure()
+            missing = self.order.failure()
+            each = {"next": f"htcp reachability {self.arguments} --each   tests every target of each seam"}
+            return missing | each if missing else {}
         end, refused = self.outcome, self.refused_segment
         facts = {} if end.status is None else {f"failed at target {end.failed}": failure_texts.reason(end, refused)}
         if (lost := self._lost_place) is not None and end.failed is not None:

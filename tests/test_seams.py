@@ -99,6 +99,8 @@ def test_a_seam_out_of_reach_is_missing_with_its_reason_and_the_others_are_done(
     order = summary(planned)["order"]
     assert {visit["name"] for visit in order["visits"]} == {"left", "right"}
     assert list(order["missing"]) == ["far"] and order["missing"]["far"].startswith("a target is farther away")
+    failure = api.open_plan(planned).failure()
+    assert list(failure) == ["seam far", "next"] and failure["next"].startswith("htcp reachability ")
 
 
 def test_the_way_back_home_is_one_of_its_own_although_a_seam_is_missing(planned):
