@@ -89,7 +89,7 @@ def test_the_map_counts_what_works_what_nearly_does_and_what_blocks_elsewhere(tm
         "path blocked",
     ]
     assert counts == [COMPLETE, NEARLY, 20 - NEARLY, 10, 5]
-    assert [int(text) for text in written(bars["colliding body, in 9 failed mountings"])] == [7, 2]
+    assert [int(text) for text in written(bars["colliding body (9 failed)"])] == [7, 2]
 
 
 def test_the_map_is_drawn_where_nothing_works(tmp_path):

@@ -207,9 +207,9 @@ class PlanProgram(NamedTuple):
         )
 
     def _user_frame(self, timed: TimedMotion) -> UserFrame | None:
+        flags = arm_flags(self.job.robot, self.robot, timed.x)  # first, as no other input helps an arm without them
         if (requested := self.job.program.user_frame) is None:
             return None
-        flags = arm_flags(self.job.robot, self.robot, timed.x)
         T_world = np.asarray(jax.vmap(kinematics.tcp_pose, (None, 0))(self.robot, timed.x))
         if requested.on == "workpiece":
             T_world = np.linalg.inv(build.scene(self.job)[2].T_world_workpiece) @ T_world

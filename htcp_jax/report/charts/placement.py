@@ -160,7 +160,7 @@ def _draw_lists(
     if len(found.seams) > 1:
         lists["each seam alone"] = [Ending(name, count, "s", OBJECTIVE(0.6)) for name, count in found.seams.items()]
     if colliding_bodies:
-        reported = f"colliding body, in {sum(colliding_bodies.values())} failed mountings"
+        reported = f"colliding body ({sum(colliding_bodies.values())} failed)"
         lists[reported] = [Ending(body, count, "s", LOST) for body, count in colliding_bodies.items()]
     inner = place.subgridspec(len(lists) + 1, 1, height_ratios=(*(len(each) + 0.6 for each in lists.values()), 0.35))
     for number, (head, endings) in enumerate(lists.items()):
