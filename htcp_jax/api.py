@@ -423,8 +423,9 @@ class Plan:
         lack_m = np.inf
         if nearest is not None and "workpiece" in nearest.other:
             lack_m = nearest.depth_m + (self.job.margin_m if refused is None else refused.margin_m)
-        facts |= failure_texts.coarse_mesh(self.workpiece.covering_radius_m, lack_m)
-        spacing = denser_spacing(self.workpiece.covering_radius_m, lack_m)
+        cover_m = self.workpiece.covering_radius_m
+        if spacing := denser_spacing(cover_m, lack_m):
+            facts |= failure_texts.coarse_mesh(cover_m, lack_m)
         facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments, spacing, start_m)
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message

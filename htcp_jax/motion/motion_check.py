@@ -161,20 +161,32 @@ def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.n
     loose = found < np.nanmin(found, initial=np.inf) / KEPT
     if loose.any():
         found[loose] = np.fmax(found[loose], _proofs(problem, tables.gather(paths, loose), TIGHT).clearance)
-    for _ in range(RAISED if np.isfinite(found).any() else 0):
-        k = int(np.nanargmin(found))
 
-        def parts(begin, end, k=k):
+    def more(k: int) -> float:
+        def parts(begin, end):
             a, b = (x[k] + share[:, None] * (x[k + 1] - x[k]) for share in (begin, end))
             rows = np.zeros(len(a), int)
             proofs = _proofs(problem, StraightPaths(rows, rows, a, b, np.ones(len(a), bool)), TIGHT)
             return np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
 
-        more = raised(parts, found[k])
-        if not more > GAIN * found[k]:
-            break
-        found[k] = more
+        return raised(parts, found[k])
+
+    raise_smallest(found, more)
     return found
+
+
+def raise_smallest(clearance: Float[np.ndarray, "n"], more: Callable[[int], float]) -> None:
+    """Raise the smallest of several lower bounds in place [m], then the next one, while they rise by the factor GAIN.
+
+    Args:
+        clearance: The bounds; NaN where nothing is proven.
+        more: Function that returns a larger bound in place of the one at an index.
+    """
+    for _ in range(RAISED if np.isfinite(clearance).any() else 0):
+        k = int(np.nanargmin(clearance))
+        if not (found := more(k)) > GAIN * clearance[k]:
+            break
+        clearance[k] = found
 
 
 def raised(

@@ -131,9 +131,7 @@ class Plans(NamedTuple):
     dead_ends: DeadEnds = DeadEnds.of({})  # dead ends of the search, and the attempts after them
     # First targets of the second and of each later seam, in all scenarios; the segments to them are transfers
     seam_begins: tuple[int, ...] = ()
-    retract: Retract | None = (
-        None  # the motion from the last seam done back to the start, see `way_back`; None: all reversed
-    )
+    retract: Retract | None = None  # from the last seam done back to the start, see `way_back`; None: all reversed
     cpu_s: float = 0.0  # processor time of all threads and processes, without `Execution.warm_up` [s]; NaN: unknown
 
     @classmethod

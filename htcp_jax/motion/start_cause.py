@@ -56,9 +56,7 @@ class StartCause(NamedTuple):
     description: str
     body: str | None = None  # name of the capsule that overlaps; None if unknown
     other: str | None = None  # name of the obstacle
-    depth_m: float = float(
-        "nan"
-    )  # depth of the overlap, the least one of several; negative: the clearance, the largest
+    depth_m: float = float("nan")  # depth of the overlap, the least of several; negative: the largest clearance
     always: bool = False  # True if the pair overlaps in every configuration
     attempt: Attempt | None = None  # the attempt with the least overlap, if all attempts collide
 

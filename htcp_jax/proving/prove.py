@@ -194,12 +194,12 @@ def tighten(
     clearance, queries = found.clearance_m.copy(), found.queries.copy()
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
-    for _ in range(motion_check.RAISED):
-        k = int(clearance.argmin())
-        more = _raised(problem, curves.of_segments(np.array([k])), float(np.max(_margins_at(margin_m, np.array([k])))))
-        if not more > motion_check.GAIN * clearance[k]:
-            break
-        clearance[k] = more
+
+    def more(k: int) -> float:
+        margin = float(np.max(_margins_at(margin_m, np.array([k]))))
+        return _raised(problem, curves.of_segments(np.array([k])), margin)
+
+    motion_check.raise_smallest(clearance, more)
     return replace(found, clearance_m=clearance, queries=queries)
 
 
@@ -207,16 +207,14 @@ def _raised(problem: Problem, curves: JointCurves, margin_m: float) -> float:
     """Return the clearance that proofs of parts of one segment's paths guarantee [m]."""
     own = curves._replace(segment=np.arange(len(curves.segment)))
     clearance = prove_curves(problem, own, margin_m=margin_m, kept=TIGHT).clearance_m
-    for _ in range(motion_check.RAISED):
-        j = int(clearance.argmin())
 
-        def parts(begin, end, j=j):
+    def more(j: int) -> float:
+        def parts(begin, end):
             return prove_curves(problem, own.between(j, begin, end), margin_m=margin_m, kept=TIGHT).clearance_m
 
-        more = motion_check.raised(parts, clearance[j])
-        if not more > motion_check.GAIN * clearance[j]:
-            break
-        clearance[j] = more
+        return motion_check.raised(parts, clearance[j])
+
+    motion_check.raise_smallest(clearance, more)
     return clearance.min()
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from htcp_jax.errors import mm_text
 from htcp_jax.io.motions import MotionFile
 from htcp_jax.jobs import margin_of
 from htcp_jax.proving.path_deviation import seams_of_segments
@@ -77,4 +78,4 @@ def _seam_text(each: SeamProof) -> str:
     required = f" ({1e3 * each.margin_m:g} mm required)" if each.margin_m else ""
     if each.verdict != "proven":
         return f"{each.seam} {each.verdict}{required}"
-    return f"{each.seam} at least {1e3 * each.clearance_m:.3g} mm{required}" if each.clearance_m else each.seam
+    return f"{each.seam} at least {mm_text(each.clearance_m)}{required}" if each.clearance_m else each.seam

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import mm_text
-from htcp_jax.model import denser_spacing, surface
+from htcp_jax.model import surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -67,14 +67,12 @@ def aim(refused: RefusedSegment, job: PlanConfig) -> dict[str, str]:
 
 
 def coarse_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
-    """Return a line if the covering radius of the points on a mesh may be the reason of a lack of clearance; else {}.
+    """Return a line about a lack of clearance that denser points on the part's mesh may end, see `denser_spacing`.
 
     Args:
-        covering_radius_m: The radius, which is subtracted from every clearance; 0 for a part that is no mesh.
+        covering_radius_m: The covering radius of the points, which is subtracted from every clearance.
         lack_m: The required clearance minus the measured one.
     """
-    if denser_spacing(covering_radius_m, lack_m) is None:
-        return {}
     return {
         "points on the mesh": f"their covering radius, {mm_text(covering_radius_m)}, is subtracted from every "
         f"clearance to the part, and {mm_text(lack_m)} are lacking here: denser points may suffice"
@@ -126,14 +124,10 @@ def next_step(
 
 def _planned(given: str, change: str, why: str) -> str:
     """Return the command that plans with one key changed, and what the change does."""
-    words, key = shlex.split(given), change.partition("=")[0]
-    kept = [
-        word
-        for k, word in enumerate(words)
-        if not (word == "--set" and words[k + 1].startswith(f"{key}="))
-        and not (k and words[k - 1] == "--set" and word.startswith(f"{key}="))
-    ]
-    return f"{shlex.join(['htcp', 'plan', *kept, '--set', change])}   {why}"
+    words, key = shlex.split(given), change.partition("=")[0]  # the job, then pairs of --set and KEY=VALUE
+    kept = [each for each in words[2::2] if each.partition("=")[0] != key]
+    changes = [word for each in (*kept, change) for word in ("--set", each)]
+    return f"{shlex.join(['htcp', 'plan', *words[:1], *changes])}   {why}"
 
 
 def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:

@@ -118,10 +118,9 @@ def plan_seams(
     if not len(rows := np.flatnonzero(usable & done)):
         return SeamPlans([], lost, compile_s)
     samples = _Configurations.sampled(problems, variants, rows)
-    if len(samples.variant):
-        rows, x = _starts(problems, variants, samples, found, home, speed)
-        if len(x):
-            add(rows, x, "; from other configurations")
+    rows, x = _starts(problems, variants, samples, found, home, speed)
+    if len(x):
+        add(rows, x, "; from other configurations")
     return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
 
 
