@@ -125,9 +125,10 @@ def next_step(
 def _planned(given: str, change: str, why: str) -> str:
     """Return the command that plans with one key changed, and what the change does."""
     words, key = shlex.split(given), change.partition("=")[0]  # the job, then pairs of --set and KEY=VALUE
-    kept = [each for each in words[2::2] if each.partition("=")[0] != key]
+    job = words[: words.index("--set")] if "--set" in words else words
+    kept = [each for each in words[len(job) + 1 :: 2] if each.partition("=")[0] != key]
     changes = [word for each in (*kept, change) for word in ("--set", each)]
-    return f"{shlex.join(['htcp', 'plan', *words[:1], *changes])}   {why}"
+    return f"{shlex.join(['htcp', 'plan', *job, *changes])}   {why}"
 
 
 def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
