@@ -2,7 +2,11 @@
 
 import difflib
 import reprlib
+import shlex
+import sys
 from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 
@@ -34,6 +38,18 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the question for a similar known name, such as "did you mean beam? "; "" if no name is similar."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"did you mean {close[0]}? " if close else ""
+
+
+def install_command(extra: str) -> str:
+    """Return a command that installs the libraries of an extra into this environment.
+
+    It names them as the package's metadata does, since no package index has htcp_jax.
+    """
+    try:
+        required = [each.split(";")[0].strip() for each in metadata.requires("htcp_jax") or () if f"'{extra}'" in each]
+    except metadata.PackageNotFoundError:  # run from its source folder, without an installation
+        required = ["-e", f"{Path(__file__).parents[1]}[{extra}]"]
+    return shlex.join([sys.executable, "-m", "pip", "install", *required])
 
 
 def mm_text(length_m: float) -> str:

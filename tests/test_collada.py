@@ -7,7 +7,7 @@ import pytest
 from collada_box import DAE
 
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError, Note, install_command
 from htcp_jax.io.robots.collada_mesh import read_triangles
 from htcp_jax.io.robots.vendor_import import import_robot
 
@@ -150,4 +150,4 @@ def test_without_the_extra_one_line_names_it(package, capsys, monkeypatch):
     out = package.parent / "arm.xml"
     assert main(["robot", str(package), "--out", str(out)]) == 2 and not out.exists()
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and """needs the extra "collada": pip install 'htcp_jax[collada]'""" in said
+    assert said.count("\n") == 1 and f'needs the extra "collada": {install_command("collada")}' in said

@@ -97,7 +97,7 @@ def test_it_is_shown_in_the_browser(place):
 
 @pytest.mark.slow
 def test_it_sweeps_on_ray_as_it_does_here(place):
-    pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+    pytest.importorskip("ray", reason="Ray is an extra")
     words = "sweep", "grid.yaml", "--methods", f"baseline,{NAME}", "--shard", "1"
     assert place.run(*words, "--out", "here")[0] == 0
     code, _, err = place.run(*words, "--out", "ray", "--on", "ray", before=TWO_WORKERS)

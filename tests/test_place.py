@@ -382,7 +382,7 @@ def test_the_numbers_in_the_files_are_json_and_ranked_in_their_order(found):
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_on_ray_and_another_seed_others(found, here):
-    pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+    pytest.importorskip("ray", reason="Ray is an extra")
     place_toy(here, "ray", on="ray")
     assert results(here / "ray") == results(found.folder)
     place_toy(here, "other", changes={"seed": 1})

@@ -9,7 +9,7 @@ import pytest
 
 import htcp_jax
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, install_command
 from htcp_jax.io.robots import model_files
 from htcp_jax.io.robots.vendor_import import import_robot
 
@@ -149,7 +149,7 @@ def test_without_the_extra_a_xacro_file_is_refused_with_the_command_that_expands
     macro = "" if "xacro" in file else MACRO
     (tmp_path / file).write_text(urdf("base", "a", "b", "c", before=macro).replace("<robot", f"<robot {XACRO}"))
     assert main(["robot", file, "--out", "arm.xml"]) == 2
-    needs = """reading it needs the extra "xacro": pip install 'htcp_jax[xacro]'; or expand it first"""
+    needs = f'reading it needs the extra "xacro": {install_command("xacro")}; or expand it first'
     assert capsys.readouterr().err == f"htcp: {file}: a xacro file; {needs}: {EXPAND[file]}\n"
     assert [each.name for each in tmp_path.iterdir()] == [file]
 

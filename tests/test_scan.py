@@ -10,7 +10,7 @@ import pytest
 from made_once import load_cloud
 
 from htcp_jax.cli import main
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError, Note, install_command
 from htcp_jax.io.parts.point_cloud import load_geometry, read_points
 from htcp_jax.io.parts.scan import PARTS, SCANS, parsed, read_part
 
@@ -294,7 +294,7 @@ def test_without_the_extra_one_line_says_how_to_get_it(tmp_path, monkeypatch, ca
     assert main(["plan", "--set", f"workpiece.cloud=part{ending}", "--set", "workpiece.path=seam.csv"]) == 2
     extra = "cad" if ending in PARTS else "scan"
     assert capsys.readouterr().err == (
-        f"htcp: part{ending}: reading {ending} needs the extra \"{extra}\": pip install 'htcp_jax[{extra}]'\n"
+        f'htcp: part{ending}: reading {ending} needs the extra "{extra}": {install_command(extra)}\n'
     )
 
 

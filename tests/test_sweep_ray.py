@@ -21,7 +21,7 @@ from htcp_jax.runs import open_run
 from htcp_jax.runs.provenance import planned_by
 from htcp_jax.runs.sweep import device_of, sweep
 
-ray = pytest.importorskip("ray", reason="Ray is an extra: pip install 'htcp_jax[ray]'")
+ray = pytest.importorskip("ray", reason="Ray is an extra")
 WORKING = "ray::_plan_shard"
 pytestmark = pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:RuntimeWarning")  # Ray starts programs so
 

@@ -15,7 +15,7 @@ from htcp_jax.cli.methods import complete_method
 from htcp_jax.cli.motion_options import Format, Interpolation, Joints, Unit, joint_names
 from htcp_jax.cli.output import Overrides, Seed, progress_bar, progress_text, stdout
 from htcp_jax.cli.plan import job_of, plan_with_progress
-from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.errors import InputError, Interrupted, install_command
 from htcp_jax.jobs import seeded
 from htcp_jax.runs import open_plans
 from htcp_jax.spec import examples
@@ -86,7 +86,7 @@ def view(
       htcp view out/plan/motion.csv --job duct     a trajectory or robot program
     """
     if importlib.util.find_spec("viser") is None:
-        raise InputError("htcp view needs viser: pip install 'htcp_jax[view]'")
+        raise InputError(f"htcp view needs viser: {install_command('view')}")
     feed_m_s = played_feed(feed, one_way=one_way)
     text, how = "", {"format": format, "unit": unit, "joints": joints, "interpolation": interpolation}
     if job is not None:

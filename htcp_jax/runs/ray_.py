@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Int
 
 from htcp_jax.caching import cache_folder
-from htcp_jax.errors import InputError, Lost
+from htcp_jax.errors import InputError, Lost, install_command
 from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.motion import Execution, Plans
@@ -55,7 +55,7 @@ def on_ray(batch: Batch, config: PlanConfig, sizes: ShardSizes, address: str) ->
     try:
         import ray  # here, as it is an optional dependency
     except ImportError:
-        raise InputError("Ray is not installed; install it with: pip install 'htcp_jax[ray]'") from None
+        raise InputError(f"Ray is not installed; install it with: {install_command('ray')}") from None
     logging.getLogger("ray").setLevel(logging.ERROR)
     ours = not ray.is_initialized()
     try:

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, install_command
 from htcp_jax.io import arrays
 from htcp_jax.jobs import grid_axes
 from htcp_jax.model import Robot
@@ -346,7 +346,7 @@ def table_frame(table: pa.Table) -> "pandas.DataFrame":
     try:
         import pandas
     except ImportError:
-        raise InputError("frames need pandas: pip install 'htcp_jax[notebooks]'") from None
+        raise InputError(f"frames need pandas: {install_command('notebooks')}") from None
     kinds = {pa.int8(): pandas.Int8Dtype(), pa.int32(): pandas.Int32Dtype(), pa.bool_(): pandas.BooleanDtype()}
     return table.to_pandas(types_mapper=kinds.get)
 

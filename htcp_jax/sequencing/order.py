@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, install_command
 from htcp_jax.sequencing.long_tour import search_long
 from htcp_jax.sequencing.tour_bound import tour_bound
 from htcp_jax.sequencing.tour_search import group_costs, nodes_of, search, without_far
@@ -132,7 +132,7 @@ def _cp_model():
     try:
         from ortools.sat.python import cp_model
     except ImportError:
-        raise InputError("an order of seams needs OR-Tools: pip install 'htcp_jax[order]'") from None
+        raise InputError(f"an order of seams needs OR-Tools: {install_command('order')}") from None
     return cp_model
 
 

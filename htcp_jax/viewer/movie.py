@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, install_command
 
 RATE = 20  # frames per second
 LAST_REPEATS = 20  # number of repetitions of the last frame
@@ -58,7 +58,8 @@ def check_kind(kind: str) -> None:
         try:
             import imageio_ffmpeg  # noqa: F401
         except ImportError:
-            raise InputError("an MP4 needs imageio-ffmpeg: pip install 'htcp_jax[movie]'; or choose gif") from None
+            need = f"an MP4 needs imageio-ffmpeg: {install_command('movie')}"
+            raise InputError(f"{need}; or choose gif") from None
 
 
 def write_movie(file: Path, film: Film, reported: Callable[[int, int], None] = lambda done, count: None) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError, Note, install_command
 from htcp_jax.io.parts.columns import ColumnIndices, TablePoints
 from htcp_jax.system import open_named, temporary_folder
 
@@ -74,7 +74,7 @@ def parsed(path: Path, kind: ScanFormat, longest_s: int = LONGEST_S) -> dict[str
     """
     ending = path.suffix.lower()
     if any(importlib.util.find_spec(library) is None for library in kind.libraries):
-        need = f"""reading {ending} needs the extra "{kind.extra}": pip install 'htcp_jax[{kind.extra}]'"""
+        need = f'reading {ending} needs the extra "{kind.extra}": {install_command(kind.extra)}'
         raise InputError(f"{path}: {need}")
     with open_named(path) as stream:
         size = os.fstat(stream.fileno()).st_size

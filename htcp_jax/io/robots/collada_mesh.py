@@ -17,7 +17,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from htcp_jax.errors import InputError, Note
+from htcp_jax.errors import InputError, Note, install_command
 from htcp_jax.io.parts.polygons import triangulate
 from htcp_jax.io.robots.capsule_fit import Triangles
 from htcp_jax.model import arrays
@@ -34,7 +34,7 @@ def read_triangles(path: Path) -> Triangles:
         InputError: If the extra is not installed, for a file that cannot be read completely, and for a skinned mesh.
     """
     if importlib.util.find_spec("collada") is None:
-        raise InputError(f"""{path}: reading .dae needs the extra "collada": pip install 'htcp_jax[collada]'""")
+        raise InputError(f'{path}: reading .dae needs the extra "collada": {install_command("collada")}')
     data = read_bytes(path)
     try:
         triangles = _scene_triangles(path, data)

@@ -10,7 +10,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, install_command
 
 
 class Expanded(NamedTuple):
@@ -32,7 +32,7 @@ def expand(path: Path, ending: str = ".urdf") -> Expanded:
     """
     if importlib.util.find_spec("xacrodoc") is None:
         made = next(f"{stem}{ending}" for stem in ("arm", "expanded") if path.name != f"{stem}{ending}")
-        install = """reading it needs the extra "xacro": pip install 'htcp_jax[xacro]'"""
+        install = f'reading it needs the extra "xacro": {install_command("xacro")}'
         by_hand = f"xacro {shlex.quote(str(path))} > {made}"
         raise InputError(f"{path}: a xacro file; {install}; or expand it first: {by_hand}")
     import xacro  # an extra
