@@ -84,7 +84,7 @@ TO_VALIDATION = {  # package or module at the root -> names that `validation` im
         "CellConfig CloudConfig FixtureConfig PlanConfig RobotConfig WorkpieceConfig WORLD Tool ZERO": "what a job's "
         "file states",
         "ModelSource label_of default_tcp": "reader of an arm's file, or of a cell's, which MuJoCo composes",
-        "FileSection read_yaml validate_model is_limits_file": "readers of files",
+        "FileSection read_yaml validate_model is_limits_file feed_of": "readers of files and of their values",
         "TaskRowKind BuiltInRow PointRow AxisRow OrientationRow ToolAxisRow TCP_ON_PATH "
         "path_row": "rows of a job's task",
         "with_arrays": "a job's row of another package, whose own check in numpy is called",

@@ -423,6 +423,12 @@ def test_joint_speeds_are_in_proportion_to_the_feed_rate(planned):
     assert fast.speed_ratio_max == pytest.approx(3 * slow.speed_ratio_max) and slow.paths_touching is None
 
 
+def test_joint_speeds_are_those_at_the_feed_that_the_job_states(tmp_path):
+    spec = load_sweep(toy_run() / "grid.yaml", None, ["program.feed=8mm/s"])
+    run = keep_plans(spec, {"baseline": open_run(toy_run() / "run").plans("baseline")}, tmp_path / "run")
+    assert validate_results(run, between=0).feed_mm_s == pytest.approx(8.0)
+
+
 def test_a_plan_validates_and_its_summary_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(toy_run())
     out = tmp_path / "plan"

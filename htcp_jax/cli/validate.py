@@ -25,9 +25,13 @@ Run = Annotated[Path, typer.Argument(metavar="RUN", help="Output folder of htcp 
 BetweenTargets = Annotated[
     int, typer.Option(metavar="N", help="Minimum number of samples of each segment; 0 skips segments.")
 ]
-FeedMmS = Annotated[float, typer.Option(metavar="MM/S", hidden=True)]
+FeedMmS = Annotated[float | None, typer.Option(metavar="MM/S", hidden=True)]
 Feed = Annotated[
-    str | None, typer.Option(metavar="SPEED", help="Feed rate at which joint speeds are computed; by default 10mm/s.")
+    str | None,
+    typer.Option(
+        metavar="SPEED",
+        help="Feed rate at which joint speeds are computed; by default the seam's or the job's, else 10mm/s.",
+    ),
 ]
 
 Verbose = Annotated[
@@ -39,7 +43,7 @@ def validate(
     run: Run,
     between: BetweenTargets = 20,
     feed: Feed = None,
-    feed_mm_s: FeedMmS = 10.0,
+    feed_mm_s: FeedMmS = None,
     verbose: Verbose = False,
     as_json: Json = False,
 ) -> int:

@@ -97,11 +97,7 @@ def _program(plan: ReportedPlan, folder: Path, feed: str | None) -> tuple[PlanPr
     """Return the robot program, or None and the reason why there is none."""
     if not plan.complete:
         return None, "The plan does not lead to its last target, so there is no program."
-    if (
-        feed is None
-        and plan.job.program.feed is None
-        and any(s.feed is None for s in plan.job.workpiece.seams or (plan.job.program,))
-    ):
+    if feed is None and None in plan.job.stated_feeds:
         return None, "Not timed: no feed rate is known. Pass --feed 20mm/s, or set program.feed in the job."
     feeds = requested_feeds(feed, plan.job)
     try:

@@ -468,6 +468,11 @@ class PlanConfig(strict_model.FileSection):
         return (*self.task, *(row for seam in self.workpiece.seams for row in seam.task))
 
     @property
+    def stated_feeds(self) -> tuple[str | None, ...]:
+        """Feed rate on each seam, its own or the job's, with its unit; for a job without seams, the job's."""
+        return tuple(seam.feed or self.program.feed for seam in self.workpiece.seams) or (self.program.feed,)
+
+    @property
     def segment_margin_m(self) -> float:
         """Required clearance on the segments of the path [m]; 0: only D > 0."""
         return self.margin_m if self.margin_on == "segments" else 0.0

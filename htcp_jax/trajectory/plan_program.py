@@ -366,11 +366,12 @@ def requested_feeds(text: str | None, job: PlanConfig) -> Feeds:
     seams = job.workpiece.seams
     if text is not None or all(seam.feed is None for seam in seams):
         return requested_feed(text, job)
-    for seam in seams:
-        if seam.feed is None and job.program.feed is None:
+    stated = job.stated_feeds
+    for seam, own in zip(seams, stated, strict=True):
+        if own is None:
             remedy = "set program.feed in the job, or feed in the seam, or pass --feed 20mm/s"
             raise InputError(f"the feed rate of the seam {seam.name!r} is missing: {remedy}")
-    return tuple(requested_feed(seam.feed, job) for seam in seams)
+    return tuple(requested_feed(own, job) for own in stated)
 
 
 def _plans(found: PlanSet, method: str, scenario: int) -> Plans:

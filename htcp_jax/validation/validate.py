@@ -26,7 +26,7 @@ import scipy
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
 from htcp_jax.runs import Run, plan_folder
-from htcp_jax.spec import config, model_source
+from htcp_jax.spec import config, feed, model_source
 from htcp_jax.system import files, output_files
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_cell import MujocoCell
@@ -38,6 +38,7 @@ from htcp_jax.validation.task_check import RowCheck
 from htcp_jax.validation.track import TrackCheck, check
 
 LISTED = 100  # maximum number of refuted targets in the list
+UNSTATED_MM_S = 10.0  # feed rate for the joint speeds if no job states one [mm/s]
 MOST_BETWEEN = 10_000  # maximum number of steps between two targets, limited by memory
 
 
@@ -47,7 +48,7 @@ def validate_results(
     between: int = 20,
     only_claimed: bool = False,
     step_rad: float = STEP_RAD,
-    feed_mm_s: float = 10.0,
+    feed_mm_s: float | None = None,
     progress: Callable[[float, int], None] | None = None,
 ) -> Validation:
     """Validate the results of a run, or in the folder of a run or a plan.
@@ -58,7 +59,8 @@ def validate_results(
             `step_rad` per step. 0: only the targets are checked.
         only_claimed: True to sample only segments that are saved as motions or have via points; others are not counted.
         step_rad: Maximum joint step [rad or m].
-        feed_mm_s: Feed rate of the TCP on the path [mm/s], for the joint speeds.
+        feed_mm_s: Feed rate of the TCP on the path [mm/s], for the joint speeds; None: the largest one that the jobs
+            of the results state, or UNSTATED_MM_S.
         progress: Function that is called with the number of checked tracks and of all tracks. The current one counts as
             the share of its samples that are checked.
 
@@ -67,18 +69,21 @@ def validate_results(
     """
     if not 0 <= between <= MOST_BETWEEN:
         raise InputError(f"between is {between}; valid: 0 to {MOST_BETWEEN:,}")
-    if not 0 < feed_mm_s < np.inf:
+    if feed_mm_s is not None and not 0 < feed_mm_s < np.inf:
         raise InputError(f"the feed rate is {feed_mm_s:g} mm/s; it must be positive")
     began = time.perf_counter()
     results = read_results(source if isinstance(source, Run) else Path(source))
     parts, joints = LoadedParts(results), ()
-    checked, report = [], progress or (lambda checked, count: None)
+    checked, report, feeds = [], progress or (lambda checked, count: None), set[str]()
     for track in results.tracks:
         arm, wall, surroundings = parts.of(track)
         joints, done = joints or arm.joints, len(checked)
+        feeds |= {text for text in track.config.stated_feeds if text is not None}
         given = results, arm, wall, surroundings, track, between, only_claimed, step_rad
         checked.append(check(*given, lambda share, done=done: report(done + share, results.count)))
         report(len(checked), results.count)
+    if feed_mm_s is None:
+        feed_mm_s = max((1e3 * feed.feed_of(text) for text in feeds), default=UNSTATED_MM_S)
     methods = {
         name: _sum_up([one for one in checked if one.method == name], joints, feed_mm_s)
         for name in dict.fromkeys(one.method for one in checked)
