@@ -202,8 +202,13 @@ class Plan:
             return error_scale(self._problem, curves, error_set(self._problem, self.job, self.job.errors))
 
     def _errors(self) -> dict[str, str]:
-        """Return a line with the largest scale of the job's errors that is proven; {} without errors."""
-        return {} if self.job.errors is None else {"errors": scale_text(self.job.errors, self.error_scale)}
+        """Return a line with the largest scale of the job's errors that is proven, and what limits it; or {}."""
+        if self.job.errors is None:
+            return {}
+        scale, facts = self.error_scale, {"errors": scale_text(self.job.errors, self.error_scale)}
+        if scale is None or scale.scale >= 1:
+            return facts
+        return facts | failure_texts.denser_mesh(scale.cover_m, scale.lack_m(self.motion_summary.clearance_m))
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""

@@ -4,7 +4,9 @@ The slow version with 10,000 draws in each of 20 sets is `python -m benchmarks e
 """
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 import test_prove
 import toy
+import trimesh
 
 from benchmarks import errors as draws
 from htcp_jax.clearance.obstacles import placed_cloud
@@ -149,6 +152,25 @@ def test_htcp_prove_prints_the_scale_and_exits_with_4_if_it_is_below_1(case, tmp
         record = json.loads((tmp_path / "out" / "proof.json").read_text())["errors"]
         assert (record["scale"] >= 1) is (code == 0)
         assert record["text"][:40] in " ".join(capsys.readouterr().out.split())
+
+
+def test_errors_that_coarse_points_on_the_mesh_do_not_allow_are_proven_at_the_spacing_that_the_command_names(
+    case, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    toy.write_job(tmp_path)
+    at = trimesh.transformations.translation_matrix((0.61, 0, toy.SHELF_M + 0.005))
+    trimesh.creation.box((0.5, 0.5, 0.01), at).export("plate.stl")
+    np.savetxt("motion.csv", case.curves.coefficients[:2, 0], delimiter=",", header="j1,j2,j3,j4", comments="")
+    words = ["prove", "motion.csv", "--job", "job.yaml", "--set", "workpiece.cloud=plate.stl"]
+    words += ["--set", "workpiece.unit=m", "--out", "out"]
+    assert main(words) == 0
+    clearance_m = json.loads(Path("out/proof.json").read_text())["clearance_m"]
+    Path("errors.yaml").write_text(f"part: {{shift_m: [0, 0, {clearance_m + 1e-3}]}}\n")
+    capsys.readouterr()
+    assert main([*words, "--errors", "errors.yaml"]) == 4
+    change = re.search(r"try first +--set (workpiece.mesh_spacing_m=[0-9.]+)", capsys.readouterr().out)[1]
+    assert main([*words, "--errors", "errors.yaml", "--set", change]) == 0
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from htcp_jax.cli.output import (
 from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity
 from htcp_jax.proving import FileProof, IndexedTravel, proof_record, prove_file, seams_text
 from htcp_jax.report import Table, draw_proof
+from htcp_jax.runs import failure_texts
 from htcp_jax.system import output_files
 
 LISTED = 10  # maximum number of groups of segments on the terminal
@@ -192,12 +193,22 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
         facts["tracking"] = f"joints within {' or '.join(dict.fromkeys(texts))} of the motion"
     if text := proof_record.errors_text(found):
         facts["errors"] = text
+        facts |= _denser_mesh(found)
     for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
         uses = [proof_record.limit_text(use) for use in found.limits if use.quantity == quantity_]
         facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)
     facts |= _deviation_facts(found)
     queries = 0 if found.proof is None else int(found.proof.queries.sum())
     return facts | {"time": f"{seconds:.1f} s; {queries:,} intervals checked"}
+
+
+def _denser_mesh(found: FileProof) -> dict[str, str]:
+    """Return lines about denser points on the part's mesh, if these limit the scale of the errors below 1."""
+    scale, proof = found.error_scale, found.proof
+    if proof is None or scale is None or scale.segment is None or scale.scale >= 1:
+        return {}
+    spare_m = float(proof.clearance_m[scale.segment]) - found.margin_m
+    return failure_texts.denser_mesh(scale.cover_m, scale.lack_m(spare_m))
 
 
 def _motion_text(found: FileProof) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from htcp_jax.cli.output import print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep_or_job
-from htcp_jax.model import denser_spacing, surface
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.reachability import ToolClearance, tool_clearances
 from htcp_jax.report import reach_study
@@ -77,9 +76,8 @@ def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
     else:
         facts["minimum clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
     lack_m = float(found.margin_m[k] - found.clearance_m[0, k])
-    if not clear.all() and (spacing := denser_spacing(covering_radius_m, lack_m)):
-        facts |= failure_texts.coarse_mesh(covering_radius_m, lack_m)
-        facts["try first"] = f"--set {surface.KEY}={spacing:g}, which covers the part's mesh more densely"
+    if not clear.all():
+        facts |= failure_texts.denser_mesh(covering_radius_m, lack_m)
     facts["longer wire"] = _longer_text(found)
     if found.ignored:
         rows = ", ".join(f"task.{number}" for number in found.ignored)

@@ -38,6 +38,15 @@ class ErrorScale(NamedTuple):
     obstacle: int | None  # number of the obstacle
     intervals: int  # number of bounded intervals
     slides: bool = False  # True: some joints slide, so that errors of joints are in rad or m
+    cover_m: float = 0.0  # covering radius of the points on the part's mesh, if they decide [m]; else 0
+
+    def lack_m(self, clearance_m: float) -> float:
+        """Return the clearance that is lacking at the scale 1 [m], if a clearance without errors suffices for `scale`.
+
+        Args:
+            clearance_m: The clearance of the motion, less the required one [m].
+        """
+        return clearance_m * (1 / self.scale - 1) if self.scale else np.inf
 
 
 class _Open(NamedTuple):
@@ -114,6 +123,7 @@ def error_scale(
         obstacle if decides else None,
         done,
         any(scene.robot.sliding),
+        scene.clouds[obstacle].cover if obstacle in scene.clouds and scene.clouds[obstacle].of_part else 0.0,
     )
 
 

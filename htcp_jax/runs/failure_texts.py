@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import mm_text
-from htcp_jax.model import surface
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -77,6 +77,14 @@ def coarse_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
         "points on the mesh": f"their covering radius, {mm_text(covering_radius_m)}, is subtracted from every "
         f"clearance to the part, and {mm_text(lack_m)} are lacking here: denser points may suffice"
     }
+
+
+def denser_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
+    """Return `coarse_mesh` and a line with the spacing to try; {} if no spacing suffices, see `denser_spacing`."""
+    if (spacing := denser_spacing(covering_radius_m, lack_m)) is None:
+        return {}
+    first = {"try first": f"--set {surface.KEY}={spacing:g}, which covers the part's mesh more densely"}
+    return coarse_mesh(covering_radius_m, lack_m) | first
 
 
 def next_step(
