@@ -27,7 +27,7 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.io.arrays import parquet_bytes
 from htcp_jax.placement import PlacementResult, place
-from htcp_jax.placement.clock import Clock, PlanTime
+from htcp_jax.placement.clock import FIRST, Clock, PlanTime
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.placement_result import locked_search
 from htcp_jax.placement.progress import PlaceProgress
@@ -240,6 +240,24 @@ def test_the_time_between_two_calls_of_the_planner_counts_and_is_kept(tmp_path):
     for name in ("rounds/000", "confirmed/000"):
         again.add(name, PlanTime(8, 0.1, True), now + 51.0)
     assert again.used == clock.used
+
+
+def test_a_confirmation_that_the_time_limit_ends_leaves_a_ranking_of_the_quick_plans(here):
+    changes = {"within": {"seconds": 1000}, "objective": "joint motion", "best": 1}
+
+    def stop(now: PlaceProgress) -> None:
+        if now.scenarios > FIRST:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted):
+        place_toy(here, "out", changes=changes, progress=stop)
+    first = {"rounds/000": PlanTime(FIRST, 950.0, True)._asdict()}  # as if it had taken nearly all of the time
+    (here / "out" / "seconds.json").write_text(json.dumps({"calls": first}))
+    found = place_toy(here, "out", changes=changes)
+    assert found.mountings and not found.is_final and not list((here / "out" / "confirmed").rglob("*.parquet"))
+    before = (here / "out" / "ranked.json").read_bytes()
+    place_toy(here, "out", changes=changes)
+    assert (here / "out" / "ranked.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("count", [0, 1])

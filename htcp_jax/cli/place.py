@@ -162,7 +162,9 @@ def _print_mountings(found: PlacementResult, seconds: float) -> None:
         "evaluated": f"{sum(len(each.values) for each in found.scores):,} mountings by {search.file.screen}",
         "complete": f"{found.complete:,} of them",
         **_seams(found),
-        "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}",
+        "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}"
+        if found.is_final
+        else "none within the time limit; the mountings are ranked by their quick plans",
         "time": f"{seconds:.0f} s, {found.compile_s:.0f} s of them for compilation",
     }
     print_facts(search.name, facts)

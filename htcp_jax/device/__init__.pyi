@@ -2,10 +2,11 @@ from . import devices, kept_executables, lane_function, processes, tables
 from .batching import Loop, Remembering
 from .chunks import by_chunks
 from .compilations import COMPILATIONS
-from .executor import Executor
+from .executor import LOADING, Executor
 
 __all__ = [
     "COMPILATIONS",
+    "LOADING",
     "Executor",
     "Loop",
     "Remembering",

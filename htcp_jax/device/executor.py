@@ -108,7 +108,7 @@ class ExecutableCache:
         shapes = tuple((x.shape, x.dtype) for x in leaves)
         key = (lane_function, lane_function.values(settings), device, structure, shapes)
         if (found := self._kept(key)) is None:
-            with waiting, self._compiling.setdefault(key, threading.Lock()):
+            with waiting, LOADING, self._compiling.setdefault(key, threading.Lock()):
                 if (found := self._kept(key)) is None:
                     found = self._found(key, settings, arguments)
                     self._keep(key, found)
@@ -154,8 +154,13 @@ class Stopwatch:
     """Stopwatch that runs while any thread is inside its context."""
 
     def __init__(self):
-        self.seconds = 0.0
-        self._inside, self._began, self._lock = 0, 0.0, threading.Lock()
+        self._seconds, self._inside, self._began, self._lock = 0.0, 0, 0.0, threading.Lock()
+
+    @property
+    def seconds(self) -> float:
+        """Time for which it has run [s]."""
+        with self._lock:
+            return self._seconds + (time.perf_counter() - self._began if self._inside else 0.0)
 
     def __enter__(self) -> None:
         with self._lock:
@@ -167,7 +172,10 @@ class Stopwatch:
         with self._lock:
             self._inside -= 1
             if not self._inside:
-                self.seconds += time.perf_counter() - self._began
+                self._seconds += time.perf_counter() - self._began
+
+
+LOADING = Stopwatch()  # runs while this process loads or compiles executables, or starts other processes
 
 
 class Executor:

@@ -26,6 +26,7 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
+from htcp_jax.device.executor import LOADING
 from htcp_jax.errors import Lost
 from htcp_jax.system import temporary_folder
 
@@ -127,7 +128,8 @@ def spread(
             workers, began = _executors(environments), time.perf_counter()
             started = [each.submit(ready) for each in workers for _ in range(len(environments) // len(workers))]
         try:
-            _watched(started, lambda: None)
+            with LOADING:
+                _watched(started, lambda: None)
             start_s = time.perf_counter() - began
             chosen = itertools.cycle(workers)
             requested = [next(chosen).submit(_work, file, k, call, part) for k, part in enumerate(parts)]

@@ -291,12 +291,11 @@ def _proofs(
     """Return one proof per straight joint path, computed by all threads of the problem."""
 
     def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
-        return tables.concatenate(
-            [
-                prove_segments(problem, checker, part, kept, margins)
-                for part in tables.portions(tables.gather(segments, share))
-            ]
-        )
+        found = []
+        for part in tables.portions(tables.gather(segments, share)):
+            problem.progress(0, 0)
+            found.append(prove_segments(problem, checker, part, kept, margins))
+        return tables.concatenate(found)
 
     return tables.interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))
 

@@ -1,14 +1,19 @@
 """Time that a search with a time limit has used, without compilation and across interruptions.
 
+A call of the planner that is not finished at the end of the time is ended as by Ctrl-C, by an exception that the
+progress raises.
+
 The limit is for the whole command: the time between two calls of the planner counts, too, as that before the first.
 The size of each call of the planner depends on the time that earlier calls took. Every call's time is therefore saved
 in the search's folder, and a resumed search reads it with the finished plans.
 """
 
+import math
 import time
 from pathlib import Path
 from typing import NamedTuple
 
+from htcp_jax.device import LOADING
 from htcp_jax.errors import InputError
 from htcp_jax.system import files, output_files
 
@@ -16,12 +21,17 @@ FILE = "seconds.json"
 DEARER = 4.0  # assumed time of a proven motion / time of a quick plan, until a first one is planned
 FIRST, GROWTH = 8, 4.0  # number of plans in the first call; largest ratio of the numbers in two successive calls
 SHARE = 0.05  # share of the time limit that a call of the search should take
+ENDED = 0.9  # share of the time limit after which a call is ended; the rest is for files and pictures
+
+
+class TimeOver(Exception):
+    """Raised when the time limit ends a call of the planner."""
 
 
 class PlanTime(NamedTuple):
     """Time of one call of the planner."""
 
-    plans: int
+    plans: int  # 0: the call was ended by the time limit
     seconds: float  # without compilation [s]
     quick: bool  # True for quick plans, False for proven motions
     before: float = 0.0  # time between the call before it, or the beginning of the command, and this one [s]
@@ -40,6 +50,28 @@ class Clock:
         self._file, self.seconds, self._last_s = folder / FILE, seconds, began_s
         self._known = {} if seconds is None else _read_times(self._file)
         self._calls: list[PlanTime] = []
+        self._end_s, self._loaded_s = math.inf, 0.0
+
+    def begin(self, name: str, stops: bool = True) -> None:
+        """Begin a call.
+
+        Args:
+            name: The name of the call's folder in the search's folder.
+            stops: False if the call may take any time.
+
+        Raises:
+            TimeOver: If the time limit ended the call before the search was resumed.
+        """
+        if (known := self._known.get(name)) is not None and not known.plans:
+            raise TimeOver
+        is_limited = stops and known is None and self.seconds is not None
+        self._end_s = self._last_s + (ENDED - self.used) * self.seconds if is_limited else math.inf
+        self._loaded_s = LOADING.seconds
+
+    def check(self) -> None:
+        """Raise TimeOver if the time for the current call is over; compilation is not counted."""
+        if time.monotonic() - (LOADING.seconds - self._loaded_s) > self._end_s:
+            raise TimeOver
 
     @property
     def used(self) -> float:

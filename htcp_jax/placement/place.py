@@ -8,12 +8,13 @@ plans, first evenly over the ranges, then near the best ones. `confirmed` plans 
 with the largest possible margin. `perturbed` and `tolerance` plan the confirmed mountings again under perturbation.
 `ranked` contains the motions in the order of the ranking. A first ranking is written before mountings are perturbed.
 Calling `place` again resumes an interrupted search. A time limit bounds all stages: the planner's calls are small, and
-a call that is expected to take too long is omitted.
+a call that is expected to take too long is omitted, and one that takes too long is ended.
 """
 
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -23,10 +24,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax.device import LOADING
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs import Sweep
 from htcp_jax.motion import Plans, start_contact
-from htcp_jax.placement.clock import Clock, PlanTime
+from htcp_jax.placement.clock import ENDED, Clock, PlanTime, TimeOver
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, ranked_plans, write_result
@@ -48,9 +50,8 @@ from htcp_jax.spec import feed
 from htcp_jax.status import AT_HOME, Status
 from htcp_jax.trajectory import time_run
 
-# Shares of a time limit after which the search ends, then the confirmation, then the perturbations and tolerances; the
-# rest is for files and pictures.
-SEARCHED, CONFIRMED, PERTURBED = 0.5, 0.8, 0.9
+# Shares of a time limit after which the search ends, then the confirmation, then the perturbations and tolerances.
+SEARCHED, CONFIRMED, PERTURBED = 0.5, 0.8, ENDED
 
 
 def place(
@@ -96,31 +97,55 @@ def place(
         clock = Clock(folder, search.file.within.seconds, began_s)
         report = ProgressReporter(search, progress, kept_plans(folder))
         compile_s = list[float]()
+
+        def progress_of(now: sweeps.SweepProgress) -> None:
+            clock.check()
+            report.sweep(now)
+
         sweep = partial(
-            sweeps.sweep, on=on, device=device, threads=threads, progress=report.sweep, targets_in_all=targets
+            sweeps.sweep, on=on, device=device, threads=threads, progress=progress_of, targets_in_all=targets
         )
 
         def plan(grid: Sweep, method: str, into: Path) -> Run:
-            name, began = into.relative_to(folder), time.monotonic()
+            name, began, loaded_s = into.relative_to(folder), time.monotonic(), LOADING.seconds
             report.begin(stage := STAGES[name.parts[0]])
-            run = sweep(grid, [method], into)
-            report.planned(run)
-            run = time_run(run, search.file.feed, (method,)) if CYCLE_TIME in search.file.objective else run
-            compile_s.append(run.manifest.seconds[method].compile_s)
-            seconds = time.monotonic() - began - compile_s[-1]
-            clock.add(name.as_posix(), PlanTime(run.manifest.count, max(0.0, seconds), stage != "confirm"), began)
+            clock.begin(
+                name.as_posix(), stops=on == "here"
+            )  # the compilation of Ray's workers is unknown until the end
+            run = None
+            with suppress(TimeOver):
+                planned = sweep(grid, [method], into)
+                report.planned(planned)
+                is_timed = CYCLE_TIME in search.file.objective
+                check = lambda *_: clock.check()  # noqa: E731
+                run = time_run(planned, search.file.feed, (method,), progress=check) if is_timed else planned
+            compile_s.append(LOADING.seconds - loaded_s if run is None else run.manifest.seconds[method].compile_s)
+            seconds, count = time.monotonic() - began - compile_s[-1], 0 if run is None else run.manifest.count
+            clock.add(name.as_posix(), PlanTime(count, max(0.0, seconds), stage != "confirm"), began)
+            if run is None:
+                raise TimeOver
             return run
 
         planner, scores, parts = MountingPlanner(search, plan), list[MountingScores](), list[MountingScores]()
+        is_over = True
         try:
-            for each in _rounds(planner, clock, folder / "rounds", report):
-                scores.append(each)
-            for each in _confirmed(planner, clock, scores, folder / "confirmed"):
-                parts.append(each)
-                report.confirmed(each)
+            with suppress(TimeOver):
+                for each in _rounds(planner, clock, folder / "rounds", report):
+                    scores.append(each)
+            if not scores:
+                raise InputError(f"the time limit of {clock.seconds:g} s ended the first quick plans; allow more time")
+            with suppress(TimeOver):
+                for each in _confirmed(planner, clock, scores, folder / "confirmed"):
+                    parts.append(each)
+                    report.confirmed(each)
+                is_over = False
         except (Interrupted, KeyboardInterrupt):
             _write_ranking_so_far(search, scores, parts, folder)
             raise
+        if is_over and not any(each.complete.any() for each in parts):
+            found = _write_ranking_so_far(search, scores, parts, folder)
+            found = found or write_result(folder, search, scores, [], None, is_final=False)
+            return found._replace(compile_s=sum(compile_s))
         confirmed = MountingScores.concatenate(parts)
         for mountings, is_final in _rankings(planner, clock, confirmed, folder):
             motions = _save_motions(search, confirmed, mountings, folder)
@@ -255,15 +280,15 @@ def _confirmed(
 
 def _write_ranking_so_far(
     search: Search, scores: Sequence[MountingScores], confirmed: Sequence[MountingScores], folder: Path
-) -> None:
-    """Write a preliminary ranking of a search that is stopped before its first ranking, if a mounting is complete.
+) -> PlacementResult | None:
+    """Write a preliminary ranking of a search that ends before its first ranking, if a mounting is complete.
 
     The mountings are those with confirmed motions or, without any, the best ones of the quick plans. A ranking of more
     plans, which an earlier call wrote, is kept.
     """
     known = [each for each in confirmed if each.complete.any()] or [each for each in scores if each.complete.any()]
     if not known or ranked_plans(folder) > sum(len(each.plans.status) for each in scores):
-        return
+        return None
     found = MountingScores.concatenate(known).with_guaranteed_clearance()
     chosen = _best_mountings(search, [found])[2]
     rows = _best_rows(found) if known[0] in confirmed else [k for k in chosen if found.complete[k]]
@@ -274,7 +299,7 @@ def _write_ranking_so_far(
     ]
     mountings.sort(key=lambda one: -one.objective[0])
     motions = _save_motions(search, found, mountings, folder)
-    write_result(folder, search, scores, mountings, motions, is_final=False)
+    return write_result(folder, search, scores, mountings, motions, is_final=False)
 
 
 def _rankings(
@@ -307,17 +332,19 @@ def _rankings(
     seams = max(1, len(planner.search.seams))
     tries = 1 + len(LOWERED) * (CLEARANCE in planner.search.file.objective)
     worst, success_rate = unknown.copy(), unknown[:, 0].copy()
-    for own, into in _calls(clock, first, folder / "perturbed", seams * TRIED * tries):
-        again = partial(_planned_again, planner, margin[own])
-        for row, one in zip(own, perturbed(planner.search, values[own], into, again), strict=True):
-            worst[row] = np.minimum(one.objective.min(axis=0), objective[row])
-            success_rate[row] = one.complete.mean()
+    with suppress(TimeOver):
+        for own, into in _calls(clock, first, folder / "perturbed", seams * TRIED * tries):
+            again = partial(_planned_again, planner, margin[own])
+            for row, one in zip(own, perturbed(planner.search, values[own], into, again), strict=True):
+                worst[row] = np.minimum(one.objective.min(axis=0), objective[row])
+                success_rate[row] = one.complete.mean()
     order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
     known: dict[int, PlacementTolerance] = {}
     most = seams * most_tried(values.shape[1])
-    for own, into in _calls(clock, order[: planner.search.file.tolerances], folder / "tolerance", most):
-        found = tolerances(planner.search, values[own], into, partial(_planned_again, planner, None))
-        known |= dict(zip(own.tolist(), found, strict=True))
+    with suppress(TimeOver):
+        for own, into in _calls(clock, order[: planner.search.file.tolerances], folder / "tolerance", most):
+            found = tolerances(planner.search, values[own], into, partial(_planned_again, planner, None))
+            known |= dict(zip(own.tolist(), found, strict=True))
     yield mountings(order, worst, success_rate, known), True
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from htcp_jax.jobs import Sweep, load_sweep
 from htcp_jax.motion import Plans
+from htcp_jax.placement.clock import TimeOver
 from htcp_jax.placement.place_file import CLEARANCE, Search
 from htcp_jax.runs import Run
 
@@ -212,7 +213,10 @@ class MountingPlanner(NamedTuple):
             if not going.any() or not fits(found.seams * int(going.sum())):
                 break
             margin = np.maximum(FACTOR * found.guaranteed, self.search.job.margin_m)[going]
-            again = self.evaluate_quickly(values[going], raised / f"{folder.name}-{k}", margin)
+            try:
+                again = self.evaluate_quickly(values[going], raised / f"{folder.name}-{k}", margin)
+            except TimeOver:
+                break
             found, going = _with_better(found, again, going)
         return found
 
