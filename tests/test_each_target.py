@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.cli import main
 from htcp_jax.device import Executor
 from htcp_jax.device.tables import gather
+from htcp_jax.jobs import load_sweep_or_job
 from htcp_jax.model import Workpiece
 from htcp_jax.model.kinematics import max_reach
 from htcp_jax.model.scenario import stack
@@ -21,7 +23,9 @@ from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.tool_cells import excluded
 from htcp_jax.reachability import Reach, reachable_prefixes
+from htcp_jax.reachability.each_target import STEP_NAMES
 from htcp_jax.reachability.reachability import _upper_bounds, initial_reachability
+from htcp_jax.report.reach_study import search_batch
 from htcp_jax.settings import Settings
 
 FAR = (5.0, 0.0, 0.5)
@@ -134,7 +138,8 @@ def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path
     words = ["reachability", str(job), "--each", "--resolution", "0.9", "--proof-cells", "64", "--out", str(out)]
     assert main(words) == 0
     text = capsys.readouterr().out
-    assert "reachable" in text and "excluded: out of reach" in text
+    assert re.search(r"excluded: out of reach +1 +10.00 +4\n", text)
+    assert re.search(rf"target numbers +reason\n4 +{Reach.OUT_OF_REACH.message}\n", text)
     rows = list(csv.DictReader((out / "reach.csv").read_text().splitlines()))
     assert [row["reach"] for row in rows] == ["reachable"] * 3 + ["out of reach"] + ["reachable"] * 6
     assert rows[3]["reason"] == Reach.OUT_OF_REACH.message and rows[4]["j1_rad"]
@@ -142,6 +147,17 @@ def test_one_command_judges_a_job_and_writes_a_table_and_a_picture(job, tmp_path
     assert (out / "reach.png").read_bytes().startswith(b"\x89PNG")
     assert main([*words, "--config", str(job)]) == 2
     assert "is a job; omit config (--config), which replaces the job of a sweep" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore:.*the path jumps")
+def test_the_progress_of_every_step_goes_from_none_to_all_of_its_targets(job):
+    batch, steps = load_sweep_or_job(job).batch(), list[tuple]()
+    search_batch(batch, 0.9, 64, True, lambda _, *now: steps.append(now))
+    named = [now for now in steps if len(now) == 3]
+    assert {name for *_, name in named} >= {STEP_NAMES["coarse"], STEP_NAMES["proofs"]}
+    begun = [k for k, (done, *_) in enumerate(named) if not done]
+    ends = [named[k - 1] for k in [*begun[1:], len(named)]]
+    assert all(done == count > 0 for done, count, _ in ends)
 
 
 @pytest.mark.filterwarnings("ignore:.*the path jumps")

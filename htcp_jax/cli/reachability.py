@@ -5,15 +5,17 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import TaskID
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.text import Text
 
 from htcp_jax.cli.output import (
     Config,
+    ElapsedColumn,
     Json,
     Limit,
     Overrides,
     Seed,
+    TimeLeftColumn,
     print_facts,
     print_json,
     print_table,
@@ -99,22 +101,34 @@ def reachability(
         if each:
             stdout().print()
             print_table(stdout(), study.summary())
+            if (reasons := study.unreached()).rows:
+                stdout().print()
+                print_table(stdout(), reasons)
     return 0
 
 
 def _search(
     batch: Batch, resolution_rad: float, proof_cells: int, each: bool, kept: checkpoint.Checkpoint
 ) -> Reachability:
-    """Return the reachability bounds of a batch. Show one progress bar for each of its `cells`, the distinct inputs."""
-    what = f"targets ({kept.summary} kept)" if kept.summary else "targets"
-    with progress_bars() as bars:
-        started: dict[int, TaskID] = {}
+    """Return the reachability bounds of a batch. Show one progress bar for each of its `cells`, the distinct inputs.
 
-        def progress(number: int, done: int, count: int) -> None:
+    The time left is that of the current step.
+    """
+    what = f"targets ({kept.summary} kept)" if kept.summary else "targets"
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), ElapsedColumn(), TimeLeftColumn()
+    with progress_bars(*columns, speed_estimate_period=600) as bars:
+        started: dict[int, tuple[TaskID, str]] = {}
+
+        def progress(number: int, done: int, count: int, step: str = "") -> None:
             if number not in started:
-                started[number] = bars.add_task(what, total=count)
-            text = f"{what}; proofs of which others are unreachable" if done == count else what
-            bars.update(started[number], description=text, completed=done, total=count)
+                started[number] = bars.add_task(what, total=count), step
+            task, before = started[number]
+            if step != before:
+                bars.reset(task)
+                started[number] = task, step
+            text = f", each by itself: {step}" if step else ""
+            text = "; proofs of which others are unreachable" if done == count and not step else text
+            bars.update(task, description=f"{what}{text}", completed=done, total=count)
 
         progress(0, 0, batch.scenarios.targets.shape[1])
         return reach_study.search_batch(batch, resolution_rad, proof_cells, each, progress, kept)

@@ -11,6 +11,7 @@ arm.
 """
 
 import itertools
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import partial
@@ -27,6 +28,12 @@ from htcp_jax.reachability.memo import Memo, Pairs, compute_all
 from htcp_jax.status import Exclusion
 
 TOGETHER, SEARCHED = 64, 4  # numbers of targets per call, for carrying over and for searches
+STEP_NAMES = {  # of the steps that may take long
+    "carried": "carrying configurations over",
+    "coarse": "coarse search",
+    "proofs": "proofs of exclusion",
+    "fine": "fine search",
+}
 COARSER = 4  # resolution of the first search, as a multiple of the requested resolution
 
 Mapped = Callable[[Callable[[Pairs], tuple], Sequence[Pairs]], list[tuple]]  # map over chunks, by threads
@@ -90,7 +97,8 @@ class TargetJudge:
         x: Known collision-free configurations [rad or m]; NaN elsewhere.
         seed: Seed of the random moves.
         mapped: Function that maps a function over chunks of targets.
-        progress: Function that is called with the numbers of decided targets and of all targets.
+        progress: Function that is called with the numbers of finished targets and of all targets of a step, and the
+            step's name.
         memo: Results of an earlier, interrupted search.
     """
 
@@ -101,7 +109,7 @@ class TargetJudge:
         x: Float[np.ndarray, "S T N"],
         seed: int,
         mapped: Mapped,
-        progress: Callable[[int, int], None],
+        progress: Callable[[int, int, str], None],
         memo: Memo = compute_all,
     ):
         self._search, self._scenarios, self._seed = search, scenarios, seed
@@ -111,7 +119,6 @@ class TargetJudge:
         self.x, self.clearance_m = np.where(on_path[..., None], x, np.nan), np.full(on_path.shape, -np.inf)
         self.reach = np.where(on_path, Reach.UNDECIDED, Reach.NOT_JUDGED).astype(np.int8)
         self.reach[~np.isnan(self.x).any(axis=2)] = Reach.REACHABLE
-        self._count = int(on_path.sum())
 
     def judge(self, resolution_rad: float, proof_cells: int) -> EachTarget:
         """Classify the targets.
@@ -156,6 +163,10 @@ class TargetJudge:
     def _each(self, step: str, function: Callable[[Pairs], tuple], pairs: Pairs, together: int) -> None:
         """Store the results of a function at pairs: the reach and, if clearer, a configuration and its clearance."""
         chunks = [pairs[first : first + together] for first in range(0, len(pairs), together)]
+        finished, lock = list[int](), threading.Lock()
+        name = STEP_NAMES.get(step, STEP_NAMES["carried"])
+        if chunks:
+            self._progress(0, len(pairs), name)
 
         def work(own: Pairs) -> None:
             compute = lambda which: np.column_stack(function(own[which]))  # noqa: E731
@@ -165,7 +176,9 @@ class TargetJudge:
             better = (reach == Reach.REACHABLE) | (clearance_m > self.clearance_m[at])
             self.reach[at], self.x[at] = reach, np.where(better[:, None], x, self.x[at])
             self.clearance_m[at] = np.where(better, clearance_m, self.clearance_m[at])
-            self._progress(int((self.reach != Reach.UNDECIDED).sum() - self.reach.size + self._count), self._count)
+            with lock:
+                finished.append(len(own))
+                self._progress(sum(finished), len(pairs), name)
 
         self._mapped(work, chunks)
 

@@ -60,7 +60,7 @@ def reachable_prefixes(
     resolution_rad: float = RESOLUTION_RAD,
     proof_cells: int = PROOF_CELLS,
     each: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[..., None] | None = None,
     memo: Memo = compute_all,
 ) -> Reachability:
     """Return the reachability of stacked scenarios, computed by one thread per core.
@@ -77,7 +77,7 @@ def reachable_prefixes(
         proof_cells: Maximum number of cells per proof, see `motion.tool_cells.excluded`; 0: no proofs.
         each: True to also classify every target on the path by itself.
         progress: Function that is called with (target, targets) after each target; with `each`, it is also called with
-            the numbers of decided targets and of all targets.
+            the numbers of finished targets and of all targets of a step, and the step's name.
         memo: Results of an earlier call with the same arguments that was interrupted.
     """
     settings = settings or Settings()
@@ -88,7 +88,7 @@ def reachable_prefixes(
     search = ConfigurationSearch(checker, robot, scenarios.tool_extension_m)
     cells = proof_cells if task.holds_tcp else 0
     threads = devices.default_threads([checker.executor.device], settings.qp)
-    report = progress or (lambda done, count: None)
+    report = progress or (lambda *step: None)
     stop = threading.Event()
 
     def until_stopped(*step) -> memos.Results:

@@ -104,11 +104,37 @@ class ReachStudy:
         return f"undecided: in the clearest configuration found, {at.body_label or at.body} is {how} {at.other}"
 
     def summary(self) -> Table:
-        """Return the table of the number of targets by reach; for a single scenario it also lists the targets."""
-        rows, reach = reach_rows(self.each.reach), self.each.reach
-        if len(reach) == 1:
-            rows = [row | {"which": ranges(np.flatnonzero(reach[0] == row["value"]))} for row in rows]
-        return Table.of("reach-summary", ("reach", "targets", "percent", "which"), rows).without_empty()
+        """Return the table of the targets by reach: their number, and the targets by scenario or seam."""
+        rows = [row | {"target_numbers": self._named(row["value"])} for row in reach_rows(self.each.reach)]
+        return Table.of("reach-summary", ("reach", "targets", "percent", "target_numbers"), rows).without_empty()
+
+    def _named(self, reach: int) -> str:
+        """Return the targets with this reach as text, at most LISTED scenarios with the name of each, if several."""
+        found = {
+            s: ranges(np.flatnonzero(own == reach)) for s, own in enumerate(self.each.reach) if (own == reach).any()
+        }
+        if len(self.each.reach) == 1:
+            return "".join(found.values())
+        words = [f"{self._scenario_name(s)}: {text}" for s, text in found.items()]
+        return "; ".join(words[:LISTED]) + ("; ..." if len(words) > LISTED else "")
+
+    def _scenario_name(self, s: int) -> str:
+        return ", ".join([f"scenario {self.batch.points[s].number}", *seam_names(self.batch)[s : s + 1]])
+
+    def unreached(self) -> Table:
+        """Return the table of the targets that are not reachable, with the reason; targets with the same one are a row.
+
+        It has at most LISTED rows.
+        """
+        found: dict[tuple[int, str], list[int]] = {}
+        for (s, t), reason in sorted(self.reasons.items()):
+            found.setdefault((s, reason), []).append(t)
+        rows = [
+            {"scenario": self._scenario_name(s), "target_numbers": ranges(np.array(own)), "reason": reason}
+            for (s, reason), own in list(found.items())[:LISTED]
+        ]
+        keys = ("scenario", "target_numbers", "reason")[len(self.each.reach) == 1 :]
+        return Table.of("reach-reasons", keys, rows)
 
     def table(self) -> Table:
         """Return the table of all targets on the path: position in the world, reach, reason, and a configuration.
@@ -204,7 +230,7 @@ def reach_study(
         limit: Maximum number of scenarios of a sweep; None: all.
         resolution_rad: Angular resolution of the searched tool orientations [rad].
         proof_cells: Maximum number of cells in a proof that a target is unreachable; 0: no proofs.
-        progress: Function that is called with the number of finished targets and the number of all targets.
+        progress: Function that is called with the numbers of finished targets and of all targets of a step.
 
     Raises:
         InputError: If the input is invalid.
@@ -212,7 +238,7 @@ def reach_study(
     spec = load_sweep_or_job(config, None, overrides)
     batch = spec.batch(limit)
     report = progress or (lambda done, count: None)
-    found = search_batch(batch, resolution_rad, proof_cells, True, lambda _, done, count: report(done, count))
+    found = search_batch(batch, resolution_rad, proof_cells, True, lambda _, done, count, *step: report(done, count))
     return ReachStudy(spec.name, batch, found, resolution_rad, proof_cells, spec.config.settings.seed)
 
 
@@ -221,7 +247,7 @@ def search_batch(
     resolution_rad: float,
     proof_cells: int,
     each: bool,
-    progress: Callable[[int, int, int], None],
+    progress: Callable[..., None],
     known: Memo = memo.compute_all,
 ) -> Reachability:
     """Return the reachability of a batch's scenarios, in their order.
@@ -248,7 +274,7 @@ def search_batch(
             resolution_rad=resolution_rad,
             proof_cells=proof_cells,
             each=each,
-            progress=lambda done, count, number=number: progress(number, done, count),
+            progress=lambda *step, number=number: progress(number, *step),
             memo=memo.of_rows(known, rows),
         )
         parts.append((rows, found))
