@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import toy
 from hypothesis import given
 from hypothesis import strategies as st
 
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.placement.part_depth import part_depths
 from htcp_jax.placement.place import is_on_pareto_front
 from htcp_jax.placement.place_file import load_search
 from htcp_jax.placement.ranges import Ranges, read_ranges
@@ -117,6 +119,19 @@ def test_what_is_wrong_with_the_file_is_refused_in_one_line(more, says):
     with pytest.raises(InputError, match=says) as refused:
         load_search({**RANGE, **more})
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("given", "deeper"), [(0.0, [0.0, 20e-3]), (-70e-3, [0.0, 10e-3])])
+def test_a_part_in_the_table_is_told_by_how_much_deeper_it_is_than_in_the_job_as_given(tmp_path, given, deeper):
+    """A table whose top is 60 mm below the shelf, which is moved down by 20 and 80 mm."""
+    (tmp_path / "cell.xml").write_text(
+        '<mujoco><worldbody><geom name="table" type="box" size="0.3 0.3 0.1" pos="0.6 0 0.2"/></worldbody></mujoco>'
+    )
+    job = toy.write_job(tmp_path, 3, shift_m=(0.0, 0.0, given), cell={"model": "cell.xml"})
+    search = load_search({"place": {"workpiece.shift_m.z": [-0.1, 0.0]}}, job)
+    found = part_depths(search, np.array([[-20e-3], [-80e-3]]))
+    np.testing.assert_allclose([one.depth_m for one in found], deeper, atol=1e-9)
+    assert [one.solid for one in found] == ["", "table"]
 
 
 # The search

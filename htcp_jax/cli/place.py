@@ -25,7 +25,7 @@ from htcp_jax.cli.output import (
     progress_text,
     stdout,
 )
-from htcp_jax.errors import InputError
+from htcp_jax.errors import InputError, mm_text
 from htcp_jax.placement import PlacementResult, PlaceProgress, mounting, tolerance
 from htcp_jax.placement import place as search_places
 from htcp_jax.report import Table
@@ -178,6 +178,8 @@ def _print_mountings(found: PlacementResult, seconds: float) -> None:
             f"{perturbation.deg:g}°. Tolerates: the largest perturbation at which all tested motions complete with a "
             f"margin of {1e3 * search.job.margin_m:g} mm."
         )
+        if any(one.inside.solid for one in found.mountings):
+            text += " Part inside: the solid of the cell in which the part is deeper than in the job as given."
         console.print(Text(text, style="dim"))
         console.print(Text.assemble(("plan   ", "cyan"), f"htcp plan {found.folder / found.jobs[0][0]}"))
     console.print(Text.assemble(("map    ", "cyan"), str(found.folder / "map.png")))
@@ -204,18 +206,19 @@ def _mountings_table(found: PlacementResult) -> Table:
     for name in aims:
         worst = Column(f"{name} off", "perturbed", mounting.UNITS[name][0], ".3g")
         shown += [worst._replace(key=name, heading=name), worst]
-    shown += ["margin_mm", "tolerates"]
+    shown += ["margin_mm", "part_inside", "tolerates"]
     rows = [
         (
             number,
             *(value * each.scale for each, value in zip(parameters, one.values.tolist(), strict=True)),
             *(_shown_value(name, v) for name, a, b in zip(aims, one.objective, one.worst, strict=True) for v in (a, b)),
             1e3 * one.margin_m,
+            f"{one.inside.solid}, {mm_text(one.inside.depth_m)}" if one.inside.solid else None,
             _tolerated(found, one),
         )
         for number, one in enumerate(found.mountings, 1)
     ]
-    return Table("place", columns.of(*shown), tuple(rows))
+    return Table("place", columns.of(*shown), tuple(rows)).without_empty()
 
 
 def _shown_value(objective_name: str, value: float) -> float:

@@ -29,6 +29,7 @@ from htcp_jax.jobs.resolve import resolve
 from htcp_jax.jobs.seam_keys import with_goals_of_seams, with_margins_of_seams
 from htcp_jax.jobs.seam_paths import is_file, points_of_seams
 from htcp_jax.model import (
+    Fixture,
     InletDirection,
     Robot,
     RowError,
@@ -318,6 +319,12 @@ def follower_at(job: PlanConfig, robot: Robot, x: Float[np.ndarray, "N"]) -> Flo
     if not job.task:
         return tcp_at(robot, job.robot.tool_extension_m, x)
     return follower_position(job.task, robots.lengthen_tool(robot, job.robot.tool_extension_m), x)
+
+
+def shapes_of(cell: CellConfig, robot: Robot) -> tuple[Fixture, ...]:
+    """Return the shapes of the cell that do not move, in the world."""
+    given = (shape for kind in cell.obstacles for shape in cell_shapes.shapes_in_world(kind))
+    return *cell_shapes.standing_cell(cell, robot).shapes, *given
 
 
 def drawn_of(cell: CellConfig, robot: Robot) -> surface.WorldGeometry:

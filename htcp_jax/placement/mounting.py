@@ -23,6 +23,13 @@ class PlacementTolerance(NamedTuple):
     alone: Float[np.ndarray, "d"]  # for each parameter with all others fixed, in the parameter's unit
 
 
+class PartDepth(NamedTuple):
+    """How much deeper the part is in a solid of the cell than in the job as given."""
+
+    depth_m: float = 0.0
+    solid: str = ""  # name of the solid; "": none
+
+
 class Mounting(NamedTuple):
     """A mounting that completes the path by a proven motion."""
 
@@ -34,3 +41,4 @@ class Mounting(NamedTuple):
     success_rate: float  # share of perturbed mountings that complete the path [1]; NaN: unknown
     pareto_front: bool  # True if on the Pareto front
     tolerance: PlacementTolerance | None  # None if it was not determined
+    inside: PartDepth = PartDepth()  # the part in a solid of the cell

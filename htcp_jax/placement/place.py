@@ -30,6 +30,7 @@ from htcp_jax.jobs import Sweep
 from htcp_jax.motion import Plans, start_contact
 from htcp_jax.placement.clock import ENDED, Clock, PlanTime, TimeOver
 from htcp_jax.placement.mounting import Mounting, MountingResults, PlacementTolerance
+from htcp_jax.placement.part_depth import part_depths
 from htcp_jax.placement.place_file import CLEARANCE, CYCLE_TIME, Search, load_search
 from htcp_jax.placement.placement_result import PlacementResult, kept_plans, locked_search, ranked_plans, write_result
 from htcp_jax.placement.progress import (
@@ -294,10 +295,12 @@ def _write_ranking_so_far(
     rows = _best_rows(found) if known[0] in confirmed else [k for k in chosen if found.complete[k]]
     front, unknown = is_on_pareto_front(found.objective[rows]), np.full(found.objective.shape[1], np.nan)
     mountings = [
-        Mounting(k, found.values[k], float(found.margin_m[k]), found.objective[k], unknown, np.nan, bool(on), None)
-        for k, on in zip(rows, front, strict=True)
+        Mounting(
+            k, found.values[k], float(found.margin_m[k]), found.objective[k], unknown, np.nan, bool(on), None, depth
+        )
+        for k, on, depth in zip(rows, front, part_depths(search, found.values[rows]), strict=True)
     ]
-    mountings.sort(key=lambda one: -one.objective[0])
+    mountings.sort(key=lambda one: (one.inside.depth_m > 0, -one.objective[0]))
     motions = _save_motions(search, found, mountings, folder)
     return write_result(folder, search, scores, mountings, motions, is_final=False)
 
@@ -308,7 +311,8 @@ def _rankings(
     """Yield rankings of the confirmed mountings, each with True if it is final.
 
     The first ranking is by the objective of each mounting's best plan. The final one is by the results under
-    perturbation; its first mountings have tolerances. What a time limit omits is unknown.
+    perturbation; its first mountings have tolerances. What a time limit omits is unknown. Mountings with the part in a
+    solid of the cell come last.
     """
     rows = _best_rows(confirmed)
     if not rows:
@@ -323,12 +327,13 @@ def _rankings(
         kept = zip(
             rows, values, margin.tolist(), objective, worst, success_rate.tolist(), pareto_front.tolist(), strict=True
         )
-        found = [Mounting(*each, known.get(k)) for k, each in enumerate(kept)]
+        found = [Mounting(*each, known.get(k), inside[k]) for k, each in enumerate(kept)]
         return [found[k] for k in order]
 
-    unknown = np.full(objective.shape, np.nan)
-    yield mountings(np.argsort(-objective[:, 0], kind="stable"), unknown, unknown[:, 0], {}), False
-    first = np.argsort(-objective[:, 0], kind="stable")
+    unknown, inside = np.full(objective.shape, np.nan), part_depths(planner.search, values)
+    is_inside = np.array([one.depth_m > 0 for one in inside])
+    first = np.lexsort((-objective[:, 0], is_inside))
+    yield mountings(first, unknown, unknown[:, 0], {}), False
     seams = max(1, len(planner.search.seams))
     tries = 1 + len(LOWERED) * (CLEARANCE in planner.search.file.objective)
     worst, success_rate = unknown.copy(), unknown[:, 0].copy()
@@ -338,7 +343,7 @@ def _rankings(
             for row, one in zip(own, perturbed(planner.search, values[own], into, again), strict=True):
                 worst[row] = np.minimum(one.objective.min(axis=0), objective[row])
                 success_rate[row] = one.complete.mean()
-    order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate))
+    order = np.lexsort((-objective[:, 0], -worst[:, 0], -success_rate, is_inside))
     known: dict[int, PlacementTolerance] = {}
     most = seams * most_tried(values.shape[1])
     with suppress(TimeOver):

@@ -102,6 +102,7 @@ class PlacementResult(NamedTuple):
             "success_rate": one.success_rate,
             "pareto_front": one.pareto_front,
             **known,
+            **({"part_inside": one.inside._asdict()} if one.inside.solid else {}),
         }
 
 
