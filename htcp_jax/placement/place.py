@@ -87,7 +87,7 @@ def place(
 
     Raises:
         InputError: If the input is invalid, or the ends of the ranges are invalid in the job; if the folder contains
-            another search or is in use; if every start collides.
+            another search or is in use; if every start collides; if the time limit ends the first quick plans.
         Interrupted: On SIGINT and SIGTERM; finished plans are kept in the folder.
         Lost: As `runs.sweep.sweep`; finished plans are kept in the folder.
     """
