@@ -191,12 +191,22 @@ def test_the_job_of_the_best_mounting_is_planned_with_both_seams(placed):
     assert [visit["name"] for visit in visits] == ["left", "back"]
 
 
-def test_a_search_whose_time_is_up_ends_after_one_call_for_the_search_and_one_for_the_best(tmp_path):
-    found = place(tmp_path, "out", within={"seconds": 1e-6}, best=2)
+def test_a_search_whose_time_ends_during_its_first_plans_is_refused_and_leaves_no_times(tmp_path):
+    (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match="the time limit of 1e-06 s ended the first quick plans; allow more time"):
+        place(tmp_path, "out", within={"seconds": 1e-6})
+    assert not list((tmp_path / "out").glob("*.json"))
+
+
+def test_a_search_whose_time_is_nearly_up_after_one_call_confirms_one_mounting_and_perturbs_none(tmp_path):
+    (tmp_path / "out").mkdir()
+    first = {"rounds/000": PlanTime(FIRST, 8.5e4, quick=True)._asdict()}
+    (tmp_path / "out" / "seconds.json").write_text(json.dumps({"calls": first}))
+    found = place(tmp_path, "out", within={"seconds": 1e5}, best=2)
     assert found.scenarios == FIRST and len(found.mountings) == 1 and found.mountings[0].tolerance is None
     assert np.isnan(found.mountings[0].success_rate)
     assert not (found.folder / "perturbed").exists() and not (found.folder / "confirmed" / "001").exists()
-    again = place(tmp_path, "out", within={"seconds": 1e-6}, best=2)
+    again = place(tmp_path, "out", within={"seconds": 1e5}, best=2)
     assert again.record()["ranked"][0]["objective"] == found.record()["ranked"][0]["objective"]
 
 

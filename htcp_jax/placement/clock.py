@@ -97,6 +97,10 @@ class Clock:
             output_files.write_json(self._file, {"calls": {each: own._asdict() for each, own in self._known.items()}})
         self._calls.append(self._known[name])
 
+    def forget(self) -> None:
+        """Remove the saved times, which a search with another limit must not read."""
+        self._file.unlink(missing_ok=True)
+
     def fits(self, plans: int, quick: bool, share: float = 1.0) -> bool:
         """Return True if a call is expected to end within a share of the time limit, or if there is no limit.
 

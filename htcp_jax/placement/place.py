@@ -134,6 +134,7 @@ def place(
                 for each in _rounds(planner, clock, folder / "rounds", report):
                     scores.append(each)
             if not scores:
+                clock.forget()
                 raise InputError(f"the time limit of {clock.seconds:g} s ended the first quick plans; allow more time")
             with suppress(TimeOver):
                 for each in _confirmed(planner, clock, scores, folder / "confirmed"):
