@@ -164,7 +164,7 @@ def _print_mountings(found: PlacementResult, seconds: float) -> None:
         **_seams(found),
         "confirmed": f"{len(found.mountings)} as proven motions by {search.file.confirm}"
         if found.is_final
-        else "none within the time limit; the mountings are ranked by their quick plans",
+        else "none within the time limit" + "; the mountings are ranked by their quick plans" * bool(found.mountings),
         "time": f"{seconds:.0f} s, {found.compile_s:.0f} s of them for compilation",
     }
     print_facts(search.name, facts)
