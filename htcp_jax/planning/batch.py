@@ -110,7 +110,7 @@ def _planned_rows(
         plans = motion_check.verify_motions(problem, plans)
     if smooths:
         smoothed = motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
-        plans = motion_check.tighten(problem, smoothed)
+        plans = motion_check.raise_air_moves(problem, motion_check.tighten(problem, smoothed))
     return with_separate_errors(problem, plans)
 
 
