@@ -108,8 +108,14 @@ def test_the_next_command_follows_from_the_reason():
     assert not failure_texts.next_step(_end(Status.TIP_BLOCKED), seen, {}, job, "job.yaml")
 
 
+def test_a_start_that_lacks_less_than_half_of_the_margin_is_tried_with_other_random_configurations():
+    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None, ["margin_m=0.0008"])
+    found = failure_texts.next_step(end, None, {}, job, "job.yaml --set settings.seed=0", start_m=0.00059)["next"]
+    assert found.startswith("htcp plan job.yaml --set settings.seed=1   ")
+
+
 def test_a_suggested_command_replaces_an_earlier_value_of_the_same_key():
-    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None)
+    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None, ["margin_m=0.04"])
     given = "job.yaml --set margin_m=0.04 --set 'home_rad=[0, 1]'"
     found = failure_texts.next_step(end, None, {}, job, given, start_m=0.00085)["next"]
     assert found.startswith("htcp plan job.yaml --set 'home_rad=[0, 1]' --set margin_m=0.0004   ")

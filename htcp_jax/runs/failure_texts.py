@@ -97,11 +97,15 @@ def next_step(
         job: The job.
         given: The job as arguments of a command.
         spacing_m: Spacing of points on the part's mesh at which the plan may succeed; None if no spacing helps.
-        start_m: Largest clearance found at the first target, if it is less than the margin; else None.
+        start_m: Largest clearance found at the first target, if no configuration there was valid; else None.
     """
     if spacing_m is not None:
         return {"next": _planned(given, f"{surface.KEY}={spacing_m:g}", "covers the part's mesh more densely")}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
+    is_near = start_m is not None and start_m >= job.margin_m / 2
+    if end.status == Status.HOME_NOT_JOINED or (end.status == Status.NO_START and is_near):
+        change = f"settings.seed={job.settings.seed + 1}"
+        return {"next": _planned(given, change, "tries other random configurations")}
     if end.status == Status.NO_START and start_m is not None:
         digit = 10.0 ** math.floor(math.log10(start_m / 2))
         change = f"margin_m={math.floor(start_m / 2 / digit) * digit:.1g}"
@@ -111,7 +115,7 @@ def next_step(
             )
         }
     if end.status == Status.NO_START:
-        return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
+        return {"next": f"{each}   searches longer, or proves that nothing reaches a target; htcp place moves the part"}
     if end.status not in MEASURED:
         return {}
     if end.failed in dead_ends and dead_ends[end.failed].excluded:
