@@ -37,7 +37,8 @@ class Progress(NamedTuple):
     targets: int
     starts: int | None = None  # number of starts chosen, and joined to home, so far; None before the first attempt
     draws: tuple[int, int] = (0, 0)  # configurations drawn to find starts, so far and at most
-    phase: str = ""  # text about the work after the first plans, such as "; order 2: 3 air moves"
+    phase: str = ""  # text about the part of the work, such as "; seams from home: 1 of 4 plans ended"
+    unit: str = "targets"  # what is counted as targets: these, or "air moves" between seams
 
 
 def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Progress], None] | None = None) -> Plans:

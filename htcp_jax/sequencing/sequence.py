@@ -136,7 +136,7 @@ class _Report:
 
     def begin(self, number: int, moves: int) -> None:
         """Begin the air moves of an order."""
-        self._now = Progress(0, 1, 0, moves, phase=f"; air moves of order {number}")
+        self._now = Progress(0, 1, 0, moves, phase=f" of order {number}", unit="air moves")
         self.add(0)
 
     def add(self, joined: int) -> None:
