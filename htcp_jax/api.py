@@ -262,9 +262,10 @@ class Plan:
         facts = {
             "clearance": f"{s.clearance_min_mm:.3g} mm minimum, {least}{s.clearance_mean_mm:.3g} mm mean; {required}"
         }
-        if cover_mm := 1e3 * self.workpiece.covering_radius_m:
-            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to points on the part"
-            facts["clearance measured"] = f"{measured}; {cover_mm:.3g} mm are subtracted for the gaps between them"
+        if cover_m := self.workpiece.covering_radius_m:
+            measured = f"at least {s.clearance_min_mm + 1e3 * cover_m:.3g} mm to points on the part"
+            cost = failure_texts.subtracted(cover_m, 1e-3 * s.clearance_min_mm)
+            facts["clearance measured"] = f"{measured}; {cost}"
         facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
         if mean is not None:

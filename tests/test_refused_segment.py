@@ -121,3 +121,14 @@ def test_a_suggested_command_replaces_an_earlier_value_of_the_same_key():
     assert found.startswith("htcp plan job.yaml --set 'home_rad=[0, 1]' --set margin_m=0.0004   ")
     denser = failure_texts.next_step(end, None, {}, job, "job.yaml", spacing_m=0.003)["next"]
     assert denser.startswith("htcp plan job.yaml --set workpiece.mesh_spacing_m=0.003   ")
+
+
+def test_if_the_points_on_the_mesh_cost_more_than_remains_a_denser_spacing_is_named():
+    costs = "1.5 mm are subtracted for the gaps between them"
+    assert failure_texts.subtracted(0.0015, 0.0016) == costs
+    assert (
+        failure_texts.subtracted(0.0015, 0.0007) == f"{costs}, at most 0.5 mm with --set workpiece.mesh_spacing_m=0.001"
+    )
+    assert (
+        failure_texts.subtracted(0.0001, 0.0) == "0.1 mm are subtracted for the gaps between them"
+    )  # as dense as allowed

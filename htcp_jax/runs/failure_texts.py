@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import mm_text
-from htcp_jax.model import surface
+from htcp_jax.model import denser_spacing, surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -77,6 +77,19 @@ def coarse_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
         "points on the mesh": f"their covering radius, {mm_text(covering_radius_m)}, is subtracted from every "
         f"clearance to the part, and {mm_text(lack_m)} are lacking here: denser points may suffice"
     }
+
+
+def subtracted(covering_radius_m: float, clearance_m: float) -> str:
+    """Return how much the points on the part's mesh cost and, if this is more than what remains, a denser spacing.
+
+    Args:
+        covering_radius_m: The covering radius of the points, which is subtracted from every clearance.
+        clearance_m: The minimum clearance, after it is subtracted.
+    """
+    text = f"{mm_text(covering_radius_m)} are subtracted for the gaps between them"
+    if covering_radius_m <= clearance_m or (spacing := denser_spacing(covering_radius_m / 2, 0.0)) is None:
+        return text
+    return f"{text}, at most {mm_text(spacing / 2)} with --set {surface.KEY}={spacing:g}"
 
 
 def next_step(
