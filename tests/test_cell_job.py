@@ -106,10 +106,7 @@ def test_a_start_in_a_fixture_names_it(afar, cell):
     cell.write_text(f"<mujoco><worldbody>{BENCH}</worldbody></mujoco>")
     own = [f"cell.model={cell}", "cell.moved=bench", f"cell.shift_m={there}"]
     found = refused_start([*afar, *own])
-    assert re.match(
-        r"start is in collision: link6 \(capsule_.* is [\d.]+ mm inside the fixture 'table'; next: --set 'start_rad=",
-        found,
-    )
+    assert re.match(r"start is in collision: link6 \(capsule_.* is [\d.]+ mm inside the fixture 'table'$", found)
 
 
 def test_shapes_stand_where_mujoco_puts_them_and_where_they_are_moved(cell):
