@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -44,7 +44,7 @@ from htcp_jax.reachability import obstruction as obstructions
 from htcp_jax.runs import MotionSummary, SeamOrder, failure_texts, plan_folder, provenance, summarise_motion
 from htcp_jax.runs import summary as summaries
 from htcp_jax.spec import TOOL_ANGLES, PlanConfig, TaskRowKind, ToolAxisRow, obstacle_kind, tool_axis_row
-from htcp_jax.status import NOT_TRIED, SegmentStatus
+from htcp_jax.status import NOT_TRIED, SegmentStatus, Status
 from htcp_jax.system import output_files
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+BEGINS_IN_COLLISION = Status.HOME_IN_COLLISION, Status.START_IN_COLLISION
 RATED = 10  # tracked targets of a plan that ends early from which on `facts` reports the time per target
 NOTABLE_RAD = 0.1  # `facts` reports the first segment if the joints travel farther than this from the given start
 
@@ -266,9 +267,10 @@ class Plan:
         facts = {
             "clearance": f"{s.clearance_min_mm:.3g} mm minimum, {least}{s.clearance_mean_mm:.3g} mm mean; {required}"
         }
-        if cover_mm := 1e3 * self.workpiece.covering_radius_m:
-            measured = f"at least {s.clearance_min_mm + cover_mm:.3g} mm to points on the part"
-            facts["clearance measured"] = f"{measured}; {cover_mm:.3g} mm are subtracted for the gaps between them"
+        if cover_m := self.workpiece.covering_radius_m:
+            measured = f"at least {s.clearance_min_mm + 1e3 * cover_m:.3g} mm to points on the part"
+            cost = failure_texts.subtracted(cover_m, 1e-3 * s.clearance_min_mm)
+            facts["clearance measured"] = f"{measured}; {cost}"
         facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
         if mean is not None:
@@ -632,7 +634,7 @@ def plan_job(
         chosen = method or planning_methods.find(job.method)
         job, robot = jobs.build.with_robot(job, source)
         if len(job.workpiece.seams) > 1:
-            return _plan_seams(job, robot, chosen, progress, device)
+            return replace(_plan_seams(job, robot, chosen, progress, device), arguments=arguments)
         workpiece = jobs.build.workpiece_of(job.workpiece, robot)
         scenario = jobs.build.scenario_of(job, robot, workpiece)
         all_obstacles = jobs.build.obstacles_of(job.cell, robot)
@@ -681,6 +683,8 @@ def _plan_seams(
     home = None if problem.begins_anywhere[0] else np.asarray(problem.scenarios.x_home[0])
     speed = joint_speeds(robot, job)
     plans = sequencing.plan_seams(problems, found.variants, home, speed, method, progress)
+    if any(each.status[0, 0] in BEGINS_IN_COLLISION for each in plans.best.values()):
+        start_causes.check_starts(problem, ())
     seams = found.variants.seam[[plan.variant for plan in plans.found]] if plans.found else np.empty(0, int)
     moves, seed = sequencing.moves_between(problem, plans.found, home, speed), job.settings.seed
     sequence = sequencing.find_sequence(seams, plans.found, found.before, moves, seed, progress)

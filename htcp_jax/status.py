@@ -75,8 +75,8 @@ _MESSAGES = {
     Status.HOME_IN_COLLISION: "the home configuration is in collision, so nothing was tried",
     Status.HOME_NOT_JOINED: "no joint path from home to a start was proven collision-free, so nothing was tried",
     Status.NO_START: (
-        "no configuration within the joint limits and with the required clearance was found at the first point of the "
-        "path, so nothing was tried"
+        "none of the random configurations that were tried at the first point of the path has the required clearance "
+        "within the joint limits, so no target was tried"
     ),
     Status.OUT_OF_REACH: "a target is farther away than the arm is long, so nothing was tried",
     Status.NO_NULL_SPACE: "the step QPs are stuck, and the task has no null space in which to recover",

@@ -28,7 +28,7 @@ from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import CollisionChecker
 from htcp_jax.motion.home import begin_at_home, leave_home
 from htcp_jax.motion.lane_inputs import lane_inputs
-from htcp_jax.motion.motion_check import check_remaining_paths, tighten, verify_motions
+from htcp_jax.motion.motion_check import check_remaining_paths, raise_air_moves, tighten, verify_motions
 from htcp_jax.motion.plans import ARRAYS
 from htcp_jax.motion.smoothing import smooth
 from htcp_jax.motion.tip_motions import PLACES, TIP_STEP_M
@@ -359,3 +359,16 @@ def test_steps_after_a_method_return_plans_and_change_none():
             np.testing.assert_array_equal(getattr(plans, name), array, err_msg=name)
         plans = after
     assert (plans.segment_status == given.segment_status).all() and plans.executable.any()
+
+
+def test_the_bound_of_an_air_move_is_raised_until_the_path_decides_the_guaranteed_clearance():
+    given, problem = toy.plans_by(), leave_home(toy.problem(threads=1))[0]
+    along = ~problem.off_path(*np.indices(given.executable.shape)) & given.executable
+    s = int(np.flatnonzero(along.any(axis=1))[0])
+    bound = given.segment_clearance.copy()
+    bound[s, 0] = 1e-9
+    raised = raise_air_moves(problem, given._replace(segment_clearance=bound)).segment_clearance
+    np.testing.assert_array_equal(raised[along], bound[along])
+    steps = np.linspace(0, 1, 200)[:, None] * (given.x[s, 0] - given.start[s])
+    clearance = toy.measured(toy.scenarios()[s], given.start[s] + steps)[0].min()
+    assert min(bound[s, along[s]].min(), 0.97 * clearance) <= raised[s, 0] <= clearance

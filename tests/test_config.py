@@ -95,6 +95,25 @@ def test_a_wrong_value_is_named_in_one_line(override, line):
 
 
 @pytest.mark.parametrize(
+    ("overrides", "found"),
+    [
+        (
+            ["margin=1", "settings.alpha=1", "sead=1"],
+            ["unknown key margin;", "unknown key settings.alpha;", "key sead;"],
+        ),
+        (
+            ["margin_m=-1", "settings.qp=magic", "start_rad=here"],
+            ["margin_m is -1", "settings.qp: 'magic'", "start_rad"],
+        ),
+    ],
+)
+def test_several_mistakes_of_one_kind_are_named_at_once(overrides, found):
+    with pytest.raises(InputError) as error:
+        load_config(None, overrides)
+    assert all(each in str(error.value) for each in found) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
     ("text", "line"),
     [
         (b"margin_m: 1\nmargin_m: 2\n", "line 2: key 'margin_m' is repeated"),

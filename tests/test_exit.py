@@ -262,24 +262,35 @@ def test_a_command_that_shows_nothing_else_says_that_it_is_at_work(capsys, monke
 
 def test_the_progress_of_a_plan_counts_the_configurations_drawn_to_find_a_start():
     shown, most = [], 2048
-    search = _Search(lambda *row: shown.append(row), by_beam=True)
+    search = _Search(lambda *row: shown.append(row), recovers=True)
     for starts, drawn in ((None, 0), (0, 0), (0, 512), (1, 512)):
         search.update(batch.Progress(0, 1, 0, 21, starts, (drawn, most)))
     text = "; looking for a start: {} of 2,048 configurations"
-    assert [row[2] for row in shown] == ["", text.format(0), text.format(512), ""]
+    assert [row[2] for row in shown] == ["targets", *(f"targets{text.format(drawn)}" for drawn in (0, 512)), "targets"]
 
 
 def test_the_progress_of_a_plan_names_a_target_that_is_searched_for_long(monkeypatch):
     shown, now = [], [0.0]
     monkeypatch.setattr("htcp_jax.cli.plan.time.monotonic", lambda: now[0])
-    search = _Search(lambda *row: shown.append(row), by_beam=True)
+    search = _Search(lambda *row: shown.append(row), recovers=True)
     hints = []
     for now[0], tracked in ((60.0, 0), (61.0, 7), (63.9, 7), (64.0, 7), (65.0, 8), (99.0, 21)):
         search.update(batch.Progress(0, 1, tracked, 21))
         hints.append("settings.effort=0" in search.stop_text)
-    where = "; searching for a motion to target 7"
-    assert shown == [(0, 21, ""), (7, 21, ""), (7, 21, ""), (7, 21, where), (8, 21, ""), (21, 21, "")]
+    where = "targets; searching for a motion to target 7"
+    texts = ["targets"] * 3 + [where] + ["targets"] * 2
+    assert shown == [(tracked, 21, text) for tracked, text in zip((0, 7, 7, 7, 8, 21), texts, strict=True)]
     assert hints == [each[2] == where for each in shown]
+
+
+def test_the_progress_of_seams_counts_plans_and_seams_and_names_no_target():
+    shown = []
+    search = _Search(lambda *row: shown.append(row), recovers=True)
+    phase = "; 1 of 2 seams complete; seams from other configurations: 3 of 4 plans ended"
+    search.update(batch.Progress(3, 4, 46, 80, phase=phase))
+    search.update(batch.Progress(0, 1, 2, 3, phase=" of order 1", unit="air moves"))
+    assert shown == [(46, 80, f"targets{phase}"), (2, 3, "air moves of order 1")]
+    assert search.stop_text.startswith("stopped; 2 of 3 air moves of order 1; nothing is saved")
 
 
 def test_the_progress_of_a_sweep_says_that_it_compiles_then_the_scenarios_done_and_the_time_left(capsys, monkeypatch):

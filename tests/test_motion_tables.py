@@ -81,7 +81,10 @@ def test_joints_rename_those_of_messages_and_archives_and_are_refused_without_na
 )
 def test_a_table_of_other_names_is_refused_with_the_option_that_reads_it(header, advice, tmp_path):
     text = table(*header, row=",".join(["0"] * len(header)))
-    assert refusal(tmp_path, "a.csv", text).endswith(advice)
+    unit = (
+        "" if "deg" in header[0] else "; the headings state no unit: pass --unit deg, too, if the angles are in degrees"
+    )
+    assert refusal(tmp_path, "a.csv", text).endswith(f"{advice}{unit}")
 
 
 @pytest.mark.parametrize(

@@ -111,12 +111,12 @@ def test_the_sentence_tells_how_deep_how_free_or_how_far_off(scenario, workpiece
     clear = known._replace(depth_m=-0.0032)
     assert clear.heading == "closest approach"
     assert clear.description.startswith("no body collides; capsule spindle comes within 3.2 mm of the workpiece at")
+    begin = "inverse kinematics from the last configuration comes only to within"
+    end = "another configuration may reach it"
     off = known._replace(reached=False, residual_m=0.054)
-    assert off.description == "the arm comes only to within 54 mm of the target"
+    assert off.description == f"{begin} 54 mm of the target; {end}"
     turned = off._replace(angle_rad=0.1, within_bands=False).description
-    assert (
-        turned == "the arm comes only to within 54 mm and 5.73 deg of the target, outside of the task's cones and bands"
-    )
+    assert turned == f"{begin} 54 mm and 5.73 deg of the target, outside of the task's cones and bands; {end}"
 
 
 def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
@@ -126,7 +126,7 @@ def test_a_body_that_is_clear_of_everything_is_no_cause(scenario, workpiece):
     assert known._replace(depth_m=0.003).cause(ended) == "spindle"
     assert known._replace(depth_m=-0.041).cause(ended) == "step QP infeasible"
     assert known._replace(depth_m=-0.041).description.startswith("no body collides")
-    assert known._replace(depth_m=0.003, reached=False).cause(ended) == "out of reach"
+    assert known._replace(depth_m=0.003, reached=False).cause(ended) == "not reached"
 
 
 def test_a_target_out_of_reach_says_by_how_much(scenario, workpiece):

@@ -108,10 +108,27 @@ def test_the_next_command_follows_from_the_reason():
     assert not failure_texts.next_step(_end(Status.TIP_BLOCKED), seen, {}, job, "job.yaml")
 
 
+def test_a_start_that_lacks_less_than_half_of_the_margin_is_tried_with_other_random_configurations():
+    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None, ["margin_m=0.0008"])
+    found = failure_texts.next_step(end, None, {}, job, "job.yaml --set settings.seed=0", start_m=0.00059)["next"]
+    assert found.startswith("htcp plan job.yaml --set settings.seed=1   ")
+
+
 def test_a_suggested_command_replaces_an_earlier_value_of_the_same_key():
-    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None)
+    end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None, ["margin_m=0.04"])
     given = "job.yaml --set margin_m=0.04 --set 'home_rad=[0, 1]'"
     found = failure_texts.next_step(end, None, {}, job, given, start_m=0.00085)["next"]
     assert found.startswith("htcp plan job.yaml --set 'home_rad=[0, 1]' --set margin_m=0.0004   ")
     denser = failure_texts.next_step(end, None, {}, job, "job.yaml", spacing_m=0.003)["next"]
     assert denser.startswith("htcp plan job.yaml --set workpiece.mesh_spacing_m=0.003   ")
+
+
+def test_if_the_points_on_the_mesh_cost_more_than_remains_a_denser_spacing_is_named():
+    costs = "1.5 mm are subtracted for the gaps between them"
+    assert failure_texts.subtracted(0.0015, 0.0016) == costs
+    assert (
+        failure_texts.subtracted(0.0015, 0.0007) == f"{costs}, at most 0.5 mm with --set workpiece.mesh_spacing_m=0.001"
+    )
+    assert (
+        failure_texts.subtracted(0.0001, 0.0) == "0.1 mm are subtracted for the gaps between them"
+    )  # as dense as allowed

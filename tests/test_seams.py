@@ -118,6 +118,14 @@ def test_a_job_none_of_whose_seams_is_done_is_a_result_with_their_reasons(tmp_pa
     assert main(["plan", str(write_job(tmp_path, *narrow)), "--out", str(tmp_path / "out")]) == 3
     printed = capsys.readouterr().out
     assert printed.startswith("beam: toy, no seam\n") and "seam left: " in printed and "seam right: " in printed
+    assert f"next: htcp reachability {tmp_path / 'job.yaml'} --each " in printed.replace("\n", "")
+
+
+def test_a_home_in_collision_is_refused_with_its_body_and_a_clear_one(tmp_path):
+    touches = [0.0, 1.5, -0.3, 0.9]
+    file = write_job(tmp_path, LEFT, RIGHT, home_rad=touches, start_rad="auto")
+    with pytest.raises(InputError, match=r"home is in collision: .* mm inside the workpiece; next: --set 'home_rad="):
+        api.plan(file)
 
 
 def test_the_validation_names_a_missing_seam_and_refutes_nothing(planned, capsys):
@@ -387,7 +395,7 @@ def test_the_progress_counts_the_air_moves_of_an_order_and_another_search_proves
     found, plans, moves, _ = plans_of(tmp_path, LEFT, RIGHT)
     seams, seen = found.variants.seam[[plan.variant for plan in plans]], []
     order = sequencing.find_sequence(seams, plans, found.before, moves, 0, seen.append)
-    assert seen[-1].targets_tracked == seen[-1].targets > 0
+    assert seen[-1].targets_tracked == seen[-1].targets > 0 and seen[-1].unit == "air moves"
     seen.clear()
     again = sequencing.find_sequence(seams, plans, found.before, moves, 0, seen.append, effort=1.0)
     assert not seen

@@ -16,7 +16,7 @@ from htcp_jax.model import Task, Workpiece
 from htcp_jax.model.scenario import stack, without_pose
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Problem
-from htcp_jax.motion.start_cause import closest_bodies, start_causes
+from htcp_jax.motion.start_cause import NO_PROOF, check_starts, closest_bodies, start_causes
 from htcp_jax.motion.start_check import check_start
 from htcp_jax.runs.tables import CAUSE, STEPS, scenario_table, with_new_columns
 from htcp_jax.status import Status
@@ -53,7 +53,8 @@ def test_a_point_that_no_configuration_reaches_is_out_of_reach():
     found = cause_of(around(POINT, 3.0), Status.NO_START, path=np.array([0.0, 0.0, -0.65]))
     assert found.body is None
     said = (
-        r"out of reach: in 2048 attempts the arm came only to within (\d+) mm of the point, with j2 at the joint limits"
+        r"in 2048 random attempts the arm came only to within (\d+) mm of the point, with j2 at the joint limits; "
+        f"{NO_PROOF}"
     )
     assert 50 < float(re.fullmatch(said, found.description)[1]) < 500
 
@@ -61,13 +62,16 @@ def test_a_point_that_no_configuration_reaches_is_out_of_reach():
 def test_a_point_that_is_reached_in_collision_alone_names_the_pairs():
     found = cause_of(around(POINT, 0.06), Status.NO_START)
     assert (found.body, found.other) == ("tool", "the workpiece") and found.depth_m > 0
-    assert "of 2048 attempts reached the point, all in collision, the least by" in found.description
+    assert "of 2048 random attempts reached the point, all in collision, the least by" in found.description
     assert "capsule tool with the workpiece (" in found.description
 
 
 def test_a_point_that_is_reached_with_less_than_the_margin_alone_names_the_largest_clearance():
     found = cause_of(around(POINT, 0.15), Status.NO_START, margin_m=0.2)
-    said = r"in \d+ of 2048 attempts the arm .* with a clearance of at most ([\d.]+) mm, less than the margin of 200 mm"
+    said = (
+        r"in \d+ of 2048 random attempts the arm .* with a clearance of at most ([\d.]+) mm, less than the margin of "
+        f"200 mm; {NO_PROOF}"
+    )
     assert 0 < float(re.fullmatch(said, found.description)[1]) < 150
 
 
@@ -91,7 +95,8 @@ def test_the_attempt_with_the_least_overlap_is_kept():
 
 
 def test_a_point_that_is_reached_is_never_called_out_of_reach():
-    assert cause_of(around(POINT, 3.0), Status.NO_START).description == "no start was found in 2048 attempts"
+    found = cause_of(around(POINT, 3.0), Status.NO_START).description
+    assert found == f"no start was found in 2048 random attempts; {NO_PROOF}"
 
 
 def test_bodies_that_overlap_in_every_random_configuration_are_named():
@@ -100,6 +105,22 @@ def test_bodies_that_overlap_in_every_random_configuration_are_named():
     assert found.always and found.body == "forearm"
     assert found.description.startswith("the workpiece and capsule forearm overlap by at least ")
     assert found.description.endswith(" mm in all of 512 random configurations")
+
+
+def test_a_start_in_collision_is_refused_with_a_clear_one_near_it():
+    """The rod of the toy arm touches four equal points."""
+    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
+    part = Workpiece("part", np.array([[0.0, 0.01, 0.9]]).repeat(4, 0), np.array([POINT, POINT + 1e-3]), **choices)
+
+    def problem(start):
+        scenario = make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0))
+        return Problem(toy.robot(), part, stack([scenario]), toy.SETTINGS, Task(tolerance_m=1e-3))
+
+    with pytest.raises(InputError, match=r"start is in collision: .* mm inside the workpiece; next: ") as refused:
+        check_starts(problem((0.0,) * 4), ())
+    advised = np.array(re.search(r"start_rad=\[(.*?)\]", str(refused.value))[1].split(","), float)
+    assert 0 < np.abs(advised).max() < 0.5
+    check_starts(problem(tuple(advised)), ())
 
 
 @pytest.fixture
@@ -116,7 +137,8 @@ def job(tmp_path):
 def test_a_standing_body_in_the_part_is_named_before_planning(job):
     with pytest.raises(InputError) as error:
         check_start(*scene(load_config({**job, "start_rad": toy.START})))
-    always = "capsule foot is 30.000 mm inside the workpiece, in every configuration, because neither moves"
+    inside = "capsule foot is 30.000 mm inside the workpiece"
+    always = f"{inside}, in every configuration, because neither moves: move one of them"
     assert str(error.value) == f"{PLACE}start is in collision: {always}"
 
 

@@ -164,7 +164,8 @@ def test_an_axis_and_a_triangle_are_measured_exactly():
 def test_a_coarse_spacing_is_a_warning_that_names_the_body(tmp_path):
     """Covering radius that is larger than a body: a clearance is still a lower bound."""
     job = load_config(stranger_jobs.box_job(tmp_path), ["workpiece.mesh_spacing_m=0.05"])
-    words = r"part.obj: every clearance is reduced by 22.* mm, .*; capsule spindle has a radius of only 8 mm; set a sm"
+    words = r"part.obj: every clearance is reduced by 22.* mm, .*; capsule spindle has a radius of only 8 mm; try "
+    words += r"workpiece.mesh_spacing_m: 0.007"
     with pytest.warns(UserWarning, match=words):
         scene(job)
 
@@ -196,7 +197,7 @@ def test_a_tiny_body_near_the_base_requires_no_points(tmp_path):
 
 def test_an_arm_with_a_tiny_body_at_its_tool_plans_in_a_small_part_and_a_warning_names_the_body(tmp_path):
     job = with_tiny_body(tmp_path, "probe")
-    with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm; set a smaller workpiece.mesh_spac"):
+    with pytest.warns(UserWarning, match=r"capsule probe has a radius of only 1 mm; try workpiece.mesh_spacing_m: 0"):
         plan = htcp_jax.plan(job, method="baseline")
     assert 10_000 < len(plan.workpiece.cloud) < 100_000
     assert is_tracked(plan.plans.status).all()

@@ -186,8 +186,8 @@ def plan_with_progress(
     from htcp_jax.runs import failure_texts
 
     cache_folder.enable()
-    with progress_bar("targets", first="loading and compiling; targets") as progress:
-        search = _Search(progress, job.method == "beam")
+    with progress_bar("", first="loading and compiling; targets") as progress:
+        search = _Search(progress, job.method == "beam" and job.settings.effort > 0)
         with stop_message(lambda: search.stop_text):
             try:
                 known = {"source": source_of(config), "arguments": failure_texts.arguments(config, changes)}
@@ -199,13 +199,16 @@ def plan_with_progress(
 class _Search:
     """Progress of one plan, and whether it is searching for a motion to the next target for long."""
 
-    def __init__(self, progress: Callable[..., None], by_beam: bool):
-        self._progress, self._by_beam, self._tracked, self._since_s, self._text = progress, by_beam, -1, 0.0, ""
+    def __init__(self, progress: Callable[..., None], recovers: bool):
+        self._progress, self._recovers, self._tracked, self._since_s, self._text = progress, recovers, -1, 0.0, ""
+        self._phase = ""
 
     @property
     def stop_text(self) -> str:
-        """The message after a signal: during a long search by `beam`, also how to keep the targets before it."""
-        if not self._text or not self._by_beam:
+        """The message after a signal: during a long search after a dead end, also how to keep the targets before it."""
+        if self._phase:
+            return f"stopped{self._phase}; nothing is saved before the motion through all seams is proven"
+        if not self._text or not self._recovers:
             return INTERRUPTED
         kept = "with --set settings.effort=0 a plan ends at its first dead end and is saved"
         return f"stopped{self._text}; nothing is saved; {kept}"
@@ -216,6 +219,7 @@ class _Search:
             self._tracked, self._since_s = now.targets_tracked, time.monotonic()
         is_long = not now.phase and self._tracked < now.targets and time.monotonic() - self._since_s >= LONG_S
         self._text = f"; searching for a motion to target {self._tracked}" if is_long and now.starts != 0 else ""
+        self._phase = now.phase and f"; {now.targets_tracked} of {now.targets} {now.unit}{now.phase}"
         drawn, most = now.draws
         phase = f"; looking for a start: {drawn:,} of {most:,} configurations" if now.starts == 0 else ""
-        self._progress(self._tracked, now.targets, phase + self._text + now.phase)
+        self._progress(self._tracked, now.targets, now.unit + phase + self._text + now.phase)

@@ -73,6 +73,9 @@ def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
         body = found.names[found.body[0, k]]
         least = f"{1e3 * found.clearance_m[0, k]:.2f} mm at target {found.target[k]}, by {body}; {required}"
         facts["minimum clearance"] = least
+        if covering_radius_m and clear.all():
+            cost = failure_texts.subtracted(covering_radius_m, float(found.clearance_m[0, k]))
+            facts["points on the mesh"] = cost
     else:
         facts["minimum clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
     lack_m = float(found.margin_m[k] - found.clearance_m[0, k])

@@ -37,6 +37,7 @@ from htcp_jax.model import (
     Task,
     Workpiece,
     check_constant_angles,
+    denser_spacing,
     follower_position,
     make_scenario,
     surface,
@@ -226,10 +227,11 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
             stacklevel=2,
         )
     if cover_m >= body.radius_m:
+        spacing = denser_spacing(body.radius_m / 2, 0.0)
         warnings.warn(
             f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
-            f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm; set a smaller "
-            f"{surface.KEY}",
+            f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm"
+            + (f"; try {surface.KEY}: {spacing:g}" if spacing else ""),
             UserWarning,
             stacklevel=2,
         )

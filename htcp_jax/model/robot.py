@@ -264,7 +264,7 @@ def mesh_note(
         for name, point in zip(names, points, strict=False)
         if (gap := robot.meshes.outside_m(name, robot, x, point)) is not None
     ]
-    return f"; gap between mesh and capsule there: {', '.join(known)}" if known else ""
+    return f"; depth of the mesh below the capsule's surface there: {', '.join(known)}" if known else ""
 
 
 def checked_pieces(robot: Robot) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:

@@ -145,17 +145,25 @@ def verify_transfers(problem: Problem, plans: Plans) -> Plans:
     return plans
 
 
-def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k-1"]:
+def clearance_along(
+    problem: Problem, x: Float[np.ndarray, "k N"], scenario: int = 0, enough_m: float = np.inf
+) -> Float[np.ndarray, "k-1"]:
     """Return lower bounds on D along the straight joint paths between consecutive configurations; NaN if not proven.
 
-    The smallest bound is as tight as those of `tighten`.
+    The smallest bound is as tight as those of `tighten`, and raised, see `raise_smallest`.
 
     Args:
-        problem: The problem; D is that of its first scenario.
+        problem: The problem.
         x: The configurations, off the path [rad or m].
+        scenario: Row of the scenario.
+        enough_m: Bound above which none is raised [m].
     """
-    rows = np.zeros(len(x) - 1, int)
-    paths = StraightPaths(rows, rows, x[:-1], x[1:], np.ones(len(rows), bool))
+
+    def between(a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]) -> StraightPaths:
+        rows = np.full(len(a), scenario)
+        return StraightPaths(rows, np.zeros_like(rows), a, b, np.ones(len(a), bool))
+
+    paths = between(x[:-1], x[1:])
     proofs = _proofs(problem, paths)
     found = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
     loose = found < np.nanmin(found, initial=np.inf) / KEPT
@@ -165,46 +173,51 @@ def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.n
     def more(k: int) -> float:
         def parts(begin, end):
             a, b = (x[k] + share[:, None] * (x[k + 1] - x[k]) for share in (begin, end))
-            rows = np.zeros(len(a), int)
-            proofs = _proofs(problem, StraightPaths(rows, rows, a, b, np.ones(len(a), bool)), TIGHT)
+            proofs = _proofs(problem, between(a, b), TIGHT)
             return np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
 
-        return raised(parts, found[k])
+        return raised(parts, found[k], enough_m)
 
-    raise_smallest(found, more)
+    raise_smallest(found, more, enough_m)
     return found
 
 
-def raise_smallest(clearance: Float[np.ndarray, "n"], more: Callable[[int], float]) -> None:
+def raise_smallest(clearance: Float[np.ndarray, "n"], more: Callable[[int], float], enough_m: float = np.inf) -> None:
     """Raise the smallest of several lower bounds in place [m], then the next one, while they rise by the factor GAIN.
 
     Args:
         clearance: The bounds; NaN where nothing is proven.
         more: Function that returns a larger bound in place of the one at an index.
+        enough_m: Bound above which none is raised [m].
     """
     for _ in range(RAISED if np.isfinite(clearance).any() else 0):
         k = int(np.nanargmin(clearance))
-        if not (found := more(k)) > GAIN * clearance[k]:
+        if clearance[k] >= enough_m or not (found := more(k)) > GAIN * clearance[k]:
             break
         clearance[k] = found
 
 
 def raised(
-    prove: Callable[[Float[np.ndarray, "p"], Float[np.ndarray, "p"]], Float[np.ndarray, "p"]], clearance_m: float
+    prove: Callable[[Float[np.ndarray, "p"], Float[np.ndarray, "p"]], Float[np.ndarray, "p"]],
+    clearance_m: float,
+    enough_m: float = np.inf,
 ) -> float:
     """Return a larger lower bound on the clearance of a joint path, from proofs of its parts [m].
 
     The proof of a long path halves an interval only a few times to raise its bound. Here the part with the smallest
-    bound is cut and proven again, CUTS times.
+    bound is cut and proven again, at most CUTS times.
 
     Args:
         prove: Function that returns the proven clearances of parts, given the shares of the path at which they begin
             and end; NaN where a part is not proven.
         clearance_m: The bound so far, which holds for all parts.
+        enough_m: Bound above which no part is cut [m].
     """
     begin, end, clearance = np.zeros(1), np.ones(1), np.array([clearance_m])
     for _ in range(CUTS):
         k = int(clearance.argmin())
+        if clearance[k] >= enough_m:
+            break
         edges = np.linspace(begin[k], end[k], PARTS + 1)
         found = np.fmax(prove(edges[:-1], edges[1:]), clearance[k])
         parts = (begin, edges[:-1]), (end, edges[1:]), (clearance, found)
@@ -235,6 +248,31 @@ def tighten(problem: Problem, plans: Plans, here: Bool[np.ndarray, "T"] | None =
     return plans._replace(
         segment_clearance=np.where(loose, np.maximum(plans.segment_clearance, found), plans.segment_clearance)
     )
+
+
+def raise_air_moves(problem: Problem, plans: Plans) -> Plans:
+    """Return the plans with larger bounds on air moves that decide a scenario's guaranteed clearance.
+
+    An air move is a segment before the path, or between seams. It may be long, so that its bound from `tighten` may be
+    far below its clearance. It is raised up to the smallest bound on the path, or to the clearance at the targets.
+
+    Args:
+        problem: The problem.
+        plans: The plans, from `tighten`.
+    """
+    off_path = problem.off_path(*np.indices(plans.executable.shape))
+    known = np.where(plans.executable, plans.segment_clearance, np.nan)
+    fixed = np.fmin(np.where(off_path, np.inf, known), TIGHT * np.where(plans.executable, plans.clearance, np.inf))
+    for s, enough_m in enumerate(np.fmin.reduce(fixed, axis=1).tolist()):
+
+        def more(t: int, s: int = s, enough_m: float = enough_m) -> float:
+            here = np.zeros_like(off_path)
+            here[s, t] = True
+            paths = segments_of(plans, here)
+            return clearance_along(problem, np.concatenate([paths.a[:1], paths.b]), s, enough_m).min()
+
+        raise_smallest(known[s], more, enough_m)
+    return plans._replace(segment_clearance=np.fmax(plans.segment_clearance, known))
 
 
 def segments_of(plans: Plans, rows: Bool[np.ndarray, "S T"]) -> StraightPaths:

@@ -30,6 +30,8 @@ from htcp_jax.status import AT_HOME, Status
 
 CAUSES = Status.START_IN_COLLISION, Status.HOME_IN_COLLISION, Status.NO_START  # statuses with a cause
 NAMED = 3  # maximum number of pairs of bodies in a description
+NO_PROOF = "this is no proof: other configurations were not tried"
+NEAR, NEAR_RAD = 1024, (0.01, 3.0)  # random configurations near one in collision; their least and largest distance
 
 
 class Attempt(NamedTuple):
@@ -60,6 +62,11 @@ class StartCause(NamedTuple):
     always: bool = False  # True if the pair overlaps in every configuration
     attempt: Attempt | None = None  # the attempt with the least overlap, if all attempts collide
 
+    @property
+    def unproven(self) -> "StartCause":
+        """The reason with a note that it is about some configurations only."""
+        return self._replace(description=f"{self.description}; {NO_PROOF}")
+
     def place(self, T_world_workpiece: Float[np.ndarray, "4 4"]) -> str:
         """Return the beginning of the message: a hint if the workpiece has no given pose, else an empty text.
 
@@ -83,7 +90,7 @@ def start_causes(problem: Problem, status: Int[np.ndarray, "S"], rounds: int = R
     causes = {s: _overlap(problem, at) for s, at in zip(begin, _Measured.each(problem, begin, x), strict=True)}
     causes = {s: cause or StartCause(Status(int(status[s])).message) for s, cause in causes.items()}
     for s in (s for s in rows if s not in causes):
-        causes[s] = standing_overlap(problem, s) or _without_start(problem, s, rounds)
+        causes[s] = standing_overlap(problem, s) or _without_start(problem, s, rounds).unproven
     places = {s: causes[s].place(scenarios.T_world_workpiece[s]) for s in rows}
     return {s: causes[s]._replace(description=places[s] + causes[s].description) for s in rows}
 
@@ -120,11 +127,38 @@ def check_starts(problem: Problem, compilations: Sequence[Future]) -> None:
     """
     for s in problem.to_plan.tolist():
         one = jax.tree.map(lambda leaf, s=s: leaf[s], problem.scenarios)
-        for x in start_check.begins_at(one).values():
+        for what, x in start_check.begins_at(one).items():
             if problem.checkers[0].states(problem.inputs(s, 0), x[None]).clearance[0] <= 0:
                 for each in compilations:
                     each.cancel()
-                start_check.check_start(problem.robot, problem.workpiece, one, problem.other_obstacles)
+                try:
+                    start_check.check_start(problem.robot, problem.workpiece, one, problem.other_obstacles)
+                except InputError as error:
+                    raise InputError(f"{error}{_clear_near(problem, s, what, x)}") from None
+
+
+def _clear_near(problem: Problem, s: int, what: str, x: Float[np.ndarray, "N"]) -> str:
+    """Return the nearest clear configuration of NEAR random ones as the end of a message; "" if none is clear.
+
+    Args:
+        problem: The problem.
+        s: Row of the scenario.
+        what: "home" or "start".
+        x: The configuration in collision [rad or m].
+    """
+    draw, (lower, upper) = np.random.default_rng(problem.settings.seed), problem.checkers[0].executor.limits
+    away = np.geomspace(*NEAR_RAD, NEAR)[:, None] * draw.uniform(-1, 1, (NEAR, len(x)))
+    tried = np.round(np.asarray(x) + away, 3)
+    tried = tried[((tried >= lower) & (tried <= upper)).all(axis=1)]
+    if not len(tried):
+        return ""
+    clearance = problem.checkers[0].states(problem.inputs(np.full(len(tried), s), 0), tried).clearance
+    is_clear = clearance > max(0.0, float(problem.scenarios.margin_m[s]))
+    if not is_clear.any():
+        return ""
+    nearest = min(tried[is_clear].tolist(), key=lambda each: float(np.abs(each - x).max()))
+    values = ", ".join(f"{value:g}" for value in nearest)
+    return f"; next: --set '{what}_rad=[{values}]', the nearest clear one of {NEAR} random configurations"
 
 
 def refuse_standing_overlaps(problem: Problem) -> None:
@@ -216,13 +250,13 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     drawn = np.concatenate(drawn_configurations(problem, checker, np.full(rounds, s), FIRST_ROUND + np.arange(rounds)))
     inputs = problem.inputs(np.full(len(drawn), s), 0)
     at = checker.states(inputs, checker.project(inputs, drawn))
-    reached, attempts = task.reached(at.residual), f"{len(drawn)} attempts"
+    reached, attempts = task.reached(at.residual), f"{len(drawn)} random attempts"
     if not reached.any():
         best = int(np.argmin(at.residual))
         robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
         off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
-        text = f"out of reach: in {attempts} the arm came only to within {mm_text(off)}{turned} of the point"
+        text = f"in {attempts} the arm came only to within {mm_text(off)}{turned} of the point"
         return StartCause(text + _at_limits(problem.robot, at.x[best]))
     found = _Measured.at(problem, s, at.x[reached])
     least = found.distance.min(axis=1)

@@ -87,7 +87,7 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
     for what, x in begins_at(scenario).items():
         D, body, other, fixed = start_contact(robot, workpiece, scenario, x, obstacles, fixed_first=True)
         if D <= 0:
-            always = ", in every configuration, because neither moves" if fixed else ""
+            always = ", in every configuration, because neither moves: move one of them" if fixed else ""
             place = scenario_functions.without_pose(scenario.T_world_workpiece) if "workpiece" in other else ""
             raise InputError(f"{place}{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
 

@@ -37,7 +37,8 @@ class Progress(NamedTuple):
     targets: int
     starts: int | None = None  # number of starts chosen, and joined to home, so far; None before the first attempt
     draws: tuple[int, int] = (0, 0)  # configurations drawn to find starts, so far and at most
-    phase: str = ""  # text about the work after the first plans, such as "; order 2: 3 air moves"
+    phase: str = ""  # text about the part of the work, such as "; seams from home: 1 of 4 plans ended"
+    unit: str = "targets"  # what is counted as targets: these, or "air moves" between seams
 
 
 def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Progress], None] | None = None) -> Plans:
@@ -110,7 +111,7 @@ def _planned_rows(
         plans = motion_check.verify_motions(problem, plans)
     if smooths:
         smoothed = motion_check.verify_motions(problem, smoothing.smooth(problem, plans))
-        plans = motion_check.tighten(problem, smoothed)
+        plans = motion_check.raise_air_moves(problem, motion_check.tighten(problem, smoothed))
     return with_separate_errors(problem, plans)
 
 

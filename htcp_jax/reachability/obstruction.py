@@ -48,8 +48,8 @@ class Obstruction(NamedTuple):
         return self.reached and self.depth_m > 0
 
     def cause(self, otherwise: str) -> str:
-        """Return the name of the colliding body, "out of reach", or `otherwise` if no body collides."""
-        return (self.body_label or self.body) if self.collides else otherwise if self.reached else "out of reach"
+        """Return the name of the colliding body, "not reached", or `otherwise` if no body collides."""
+        return (self.body_label or self.body) if self.collides else otherwise if self.reached else "not reached"
 
     @property
     def heading(self) -> str:
@@ -62,7 +62,10 @@ class Obstruction(NamedTuple):
         if not self.reached:
             angle = f" and {np.rad2deg(self.angle_rad):.3g} deg" if self.angle_rad else ""
             outside = "" if self.within_bands else ", outside of the task's cones and bands"
-            return f"the arm comes only to within {mm_text(self.residual_m)}{angle} of the target{outside}"
+            return (
+                "inverse kinematics from the last configuration comes only to within "
+                f"{mm_text(self.residual_m)}{angle} of the target{outside}; another configuration may reach it"
+            )
         body = self.body_label or self.body
         where = f"at ({', '.join(f'{value:.2f}' for value in self.point)}) m there"
         if self.depth_m > 0:

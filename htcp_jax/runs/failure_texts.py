@@ -87,6 +87,19 @@ def denser_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
     return coarse_mesh(covering_radius_m, lack_m) | first
 
 
+def subtracted(covering_radius_m: float, clearance_m: float) -> str:
+    """Return how much the points on the part's mesh cost and, if this is more than what remains, a denser spacing.
+
+    Args:
+        covering_radius_m: The covering radius of the points, which is subtracted from every clearance.
+        clearance_m: The minimum clearance, after it is subtracted.
+    """
+    text = f"{mm_text(covering_radius_m)} are subtracted for the gaps between them"
+    if covering_radius_m <= clearance_m or (spacing := denser_spacing(covering_radius_m / 2, 0.0)) is None:
+        return text
+    return f"{text}, at most {mm_text(spacing / 2)} with --set {surface.KEY}={spacing:g}"
+
+
 def next_step(
     end: plans.Outcome,
     refused: RefusedSegment | None,
@@ -105,11 +118,15 @@ def next_step(
         job: The job.
         given: The job as arguments of a command.
         spacing_m: Spacing of points on the part's mesh at which the plan may succeed; None if no spacing helps.
-        start_m: Largest clearance found at the first target, if it is less than the margin; else None.
+        start_m: Largest clearance found at the first target, if no configuration there was valid; else None.
     """
     if spacing_m is not None:
         return {"next": _planned(given, f"{surface.KEY}={spacing_m:g}", "covers the part's mesh more densely")}
     each = " ".join(filter(None, ["htcp reachability", given, "--each"]))
+    is_near = start_m is not None and start_m >= job.margin_m / 2
+    if end.status == Status.HOME_NOT_JOINED or (end.status == Status.NO_START and is_near):
+        change = f"settings.seed={job.settings.seed + 1}"
+        return {"next": _planned(given, change, "tries other random configurations")}
     if end.status == Status.NO_START and start_m is not None:
         digit = 10.0 ** math.floor(math.log10(start_m / 2))
         change = f"margin_m={math.floor(start_m / 2 / digit) * digit:.1g}"
@@ -119,7 +136,7 @@ def next_step(
             )
         }
     if end.status == Status.NO_START:
-        return {"next": f"{each}   tests every target; htcp place searches for a mounting"}
+        return {"next": f"{each}   searches longer, or proves that nothing reaches a target; htcp place moves the part"}
     if end.status not in MEASURED:
         return {}
     if end.failed in dead_ends and dead_ends[end.failed].excluded:

@@ -97,7 +97,8 @@ def plan_seams(
                 begun = replace(begun, x_start=x[own], x_home=x[own].copy(), auto_start=np.zeros(len(own), bool))
                 settings = replace(settings, transfers=False, effort=0.0)
             own_problem = replace(own_problem, scenarios=begun, settings=settings)
-            plans = _plans(own_problem, rows[own], method, progress, phase)
+            complete = f"; {len(np.unique(seam[done]))} of {len(best)} seams complete{phase}"
+            plans = _plans(own_problem, rows[own], method, progress, complete)
             compile_s += plans[0].plans.compile_s
             made |= zip(own.tolist(), plans, strict=True)
         number += len(rows)
@@ -110,7 +111,7 @@ def plan_seams(
     for chosen in (usable & ~is_second, usable & is_second):
         turned = [int(variants.reverse[plan.variant]) for plan in found if _can_be_reversed(plan)]
         rows = np.flatnonzero(chosen & ~np.isin(every, turned) & (variants.is_allowed | ~done))
-        for plan in add(rows, None, "") if len(rows) else []:
+        for plan in add(rows, None, "; seams from home") if len(rows) else []:
             own = int(seam[plan.variant])
             if plan.plans.executable.sum() >= best[own].executable.sum():
                 best[own] = plan.plans
@@ -120,7 +121,7 @@ def plan_seams(
     samples = _Configurations.sampled(problems, variants, rows)
     rows, x = _starts(problems, variants, samples, found, home, speed)
     if len(x):
-        add(rows, x, "; from other configurations")
+        add(rows, x, "; seams from other configurations")
     return SeamPlans(_both_directions(variants, reversible & ~is_point, found), lost, compile_s)
 
 
@@ -140,8 +141,11 @@ def _plans(
     phase: str,
 ) -> list[SeamPlan]:
     """Return the plans of scenarios, each of a variant, on the path."""
-    report = progress and (lambda now: progress(now._replace(phase=phase)))
-    plans, on_path = batch.plan(problem, method, report), problem.scenarios.on_path
+
+    def report(now: batch.Progress) -> None:
+        progress(now._replace(phase=f"{phase}: {now.scenarios_done} of {now.scenarios} plans ended"))
+
+    plans, on_path = batch.plan(problem, method, progress and report), problem.scenarios.on_path
     own = [_on_path(plans.rows([row]), on_path[row]) for row in range(len(variant))]
     return [SeamPlan(v, each, each.x[0, 0], each.x[0, -1]) for v, each in zip(variant.tolist(), own, strict=True)]
 

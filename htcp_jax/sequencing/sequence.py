@@ -120,6 +120,7 @@ def whole_plans(
     plans = motion_check.verify_transfers(problem, plans)
     for own_problem, here in problems:
         plans = motion_check.tighten(own_problem, plans, here)
+    plans = motion_check.raise_air_moves(problem, plans)
     if not has_home or not visits:
         return plans
     back = np.concatenate([sequence.retract.via_points, problem.scenarios.x_home])
@@ -135,7 +136,7 @@ class _Report:
 
     def begin(self, number: int, moves: int) -> None:
         """Begin the air moves of an order."""
-        self._now = Progress(0, 1, 0, moves, phase=f"; air moves of order {number}")
+        self._now = Progress(0, 1, 0, moves, phase=f" of order {number}", unit="air moves")
         self.add(0)
 
     def add(self, joined: int) -> None:

@@ -3,9 +3,10 @@
 import copy
 import difflib
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import islice
 from types import UnionType
 from typing import Any, NamedTuple, get_args, get_origin
 
@@ -14,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from htcp_jax.errors import InputError, described
 
 FROM_1 = "task", "seams"  # keys of lists whose entries messages count from 1
+MOST = 5  # maximum number of errors in a message
 KIND = "kind"  # key of entries whose kind another package defines, see `given_kinds`
 
 
@@ -32,16 +34,29 @@ def validate_model(raw: dict, model: type[BaseModel], source: str) -> Any:
         source: Name of the mapping, for messages.
 
     Raises:
-        InputError: If the mapping is invalid. The message has the first error and the number of further errors.
+        InputError: If the mapping is invalid. The message has the first error of each key, of at most MOST keys, and
+            the number of further errors.
     """
     raw = copy.deepcopy(raw)  # `refuse_unknown` modifies it
     refuse_unknown(raw, model, source)
     try:
         return model.model_validate(raw)
     except ValidationError as error:
-        first, *more = error.errors()
-        others = f" (and {len(more)} more)" if more else ""
-        raise InputError(f"{source}: {described(first)}{others}") from None
+        found, first = error.errors(), dict[tuple[int | str, ...], str]()
+        for each in found:
+            first.setdefault(_key_of(each["loc"], raw), described(each))
+        shown = list(first.values())[:MOST]
+        others = f" (and {len(found) - len(shown)} more)" if len(found) > len(shown) else ""
+        raise InputError(f"{source}: {'; '.join(shown)}{others}") from None
+
+
+def _key_of(where: tuple[int | str, ...], raw: dict) -> tuple[int | str, ...]:
+    """Return the key at the place of an error: one in a section, an entry of a list of sections, or one of its own."""
+    value = raw.get(str(where[0])) if where else None
+    has_sections = isinstance(value, dict) or (
+        isinstance(value, list) and any(isinstance(each, dict) for each in value)
+    )
+    return where[: 1 + has_sections]
 
 
 def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None:
@@ -54,15 +69,22 @@ def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None
         prefix: Dotted key of the section with a final dot, such as "robot."; "" for the complete mapping.
 
     Raises:
-        InputError: If a key is unknown, or if a value is true or false instead of a number.
+        InputError: If keys are unknown, or values are true or false instead of a number. The message has at most MOST.
     """
+    if found := list(islice(_unknown(raw, model, prefix), MOST)):
+        raise InputError(f"{source}: {'; '.join(found)}")
+
+
+def _unknown(raw: dict, model: Any, prefix: str) -> Iterator[str]:
+    """Yield what is wrong with each key, see `refuse_unknown`."""
     keys = _keys_of(model)
     for name, value in list(raw.items()):
         key = keys.get(name)
         if key is None:
             close = _in_sections(name, keys) or difflib.get_close_matches(str(name), keys, n=1, cutoff=0.5)
             hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(keys)}"
-            raise InputError(f"{source}: unknown key {prefix}{name}; {hint}")
+            yield f"unknown key {prefix}{name}; {hint}"
+            continue
         if value is None and key.is_section:
             del raw[name]  # a section whose lines are all commented out
             continue
@@ -72,11 +94,9 @@ def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None
                 items = value.items()
             for k, item in items:
                 if isinstance(item, dict) and KIND not in item:
-                    refuse_unknown(item, section, source, f"{prefix}{name}." + ("" if k is None else f"{k}."))
+                    yield from _unknown(item, section, f"{prefix}{name}." + ("" if k is None else f"{k}."))
         if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
-            raise InputError(
-                f"{source}: {prefix}{name} is {reprlib.repr(value)}; it must be a number, not true or false"
-            )
+            yield f"{prefix}{name} is {reprlib.repr(value)}; it must be a number, not true or false"
 
 
 class _Key(NamedTuple):

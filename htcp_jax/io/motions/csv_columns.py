@@ -104,6 +104,8 @@ def _check_columns(source: Source, columns: Columns, header: Sequence[str], line
     if not columns.joints:
         advice = source.advice(_numbered(unused, source.robot.dof))
         advice = advice or "; pass --joints with the names of the joints' columns"
+        if source.unit is None and not any(map(_unit_at_end, unused)):
+            advice += "; the headings state no unit: pass --unit deg, too, if the angles are in degrees"
         source.fail(line, f"no column is named as a joint of the robot; {robot}{advice}")
     if not given and (extra := [heading for heading in unused if _is_joint(heading, known)]):
         source.fail(line, f"the robot lacks {listed(extra)}; {robot}")
