@@ -7,7 +7,7 @@ RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source
 FROM python:3.11-slim AS base
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install --no-install-recommends --yes libegl1 libgl1-mesa-dri \
+    && apt-get install --no-install-recommends --yes libegl1 libopengl0 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 COPY requirements.lock /
 ENV HTCP_CACHE=/tmp/htcp-cache

@@ -105,18 +105,11 @@ def planned(
     folder: Path, entry: dict[str, Any], tools: dict[str, Any], work: Path, is_undone_only: bool
 ) -> dict[str, Any]:
     """Return counts and times of a job, whose files stay in a folder."""
+    write_job(folder, entry, tools)
     package, arm = entry["arm"]
-    file, tcp = arm_of(package, arm, work)
-    job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
-    job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
-    job = merged(job, {"settings": {"effort": 0}})
-    if "tool" in entry:
-        job["robot"]["tool"] = tools[entry["tool"]] if isinstance(entry["tool"], str) else entry["tool"]
-    (folder / "job.yaml").write_text(yaml.safe_dump(job, sort_keys=False), encoding="utf-8")
-    options = ["--tcp", tcp, *entry.get("options", []), "--replace", "--json"]
     facts: dict[str, Any] = {"package": package, "arm": arm}
     for step, arguments in {
-        "robot": ["robot", str(file), "--out", "arm.xml", *options],
+        "robot": arm_arguments(entry, work),
         "plan": ["plan", "job.yaml", "--out", "plan", "--json"],
         "reach": ["reachability", "job.yaml", "--each", "--out", "reach", "--json"],
     }.items():
@@ -131,6 +124,22 @@ def planned(
             facts |= {"targets": printed["targets"], "executable": motion.get("executable", 0)}
             facts |= {"planning_s": printed["run_s"], "compile_s": printed["compile_s"], "why": reason(printed)}
     return facts
+
+
+def write_job(folder: Path, entry: dict[str, Any], tools: dict[str, Any]) -> None:
+    """Write a job with its part, seam and models into a folder; the arm's file `arm.xml` is still missing."""
+    job = merged({"robot": {"model": "arm.xml"}}, stranger_parts.write(folder, entry), entry["job"])
+    job = merged({"workpiece": {"cloud": "part.obj", "path": "seam.csv"}, "start_rad": "auto"}, job)
+    job = merged(job, {"settings": {"effort": 0}})
+    if "tool" in entry:
+        job["robot"]["tool"] = tools[entry["tool"]] if isinstance(entry["tool"], str) else entry["tool"]
+    (folder / "job.yaml").write_text(yaml.safe_dump(job, sort_keys=False), encoding="utf-8")
+
+
+def arm_arguments(entry: dict[str, Any], work: Path) -> list[str]:
+    """Return the arguments of `htcp` that import a job's arm; its package is downloaded into the folder `work`."""
+    file, tcp = arm_of(*entry["arm"], work)
+    return ["robot", str(file), "--out", "arm.xml", "--tcp", tcp, *entry.get("options", []), "--replace", "--json"]
 
 
 def arm_of(package: str, arm: str, work: Path) -> tuple[Path, str]:

@@ -1,6 +1,7 @@
 """Package metadata: the command, the version, the commit that runs record, and the imports of the core."""
 
 import importlib
+import json
 import re
 import shutil
 import subprocess
@@ -12,7 +13,8 @@ import pytest
 import yaml
 
 import htcp_jax
-from htcp_jax.runs.provenance import commit_of
+from htcp_jax.runs.provenance import commit_of, installed_commit
+from htcp_jax.viewer import offscreen
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = Path(htcp_jax.__file__).parent
@@ -43,6 +45,27 @@ def test_a_run_records_whether_anything_of_the_package_was_edited(edited, tmp_pa
     assert clean == _git(tmp_path, "rev-parse", "HEAD").strip()
     (copy / edited).write_text((copy / edited).read_text() + "\n")
     assert commit_of(copy) == f"{clean}+changes"
+
+
+def test_a_run_of_a_package_that_pip_installed_from_a_repository_records_the_commit(tmp_path, monkeypatch):
+    copy, info = tmp_path / "htcp_jax", tmp_path / "htcp_jax-9.dist-info"
+    copy.mkdir()
+    info.mkdir()
+    (copy / "__init__.py").touch()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: htcp_jax\nVersion: 9\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert installed_commit("htcp_jax", copy / "__init__.py") is None
+    direct = {"url": "https://host/htcp_jax", "vcs_info": {"vcs": "git", "commit_id": "0a901608"}}
+    (info / "direct_url.json").write_text(json.dumps(direct))
+    assert installed_commit("htcp_jax", copy / "__init__.py") == "0a901608"
+    assert installed_commit("htcp_jax", PACKAGE / "__init__.py") is None  # runs from another folder
+
+
+def test_the_image_installs_the_libraries_that_a_message_and_the_documentation_name_for_pictures():
+    named = set(re.findall(r"lib(?:egl|opengl|gl)[\w-]+", offscreen.NEEDED))
+    assert named == {"libegl1", "libopengl0", "libgl1-mesa-dri"}
+    for file in "Dockerfile", "docs/installation.md":
+        assert named <= set(re.findall(r"lib[\w-]+", (ROOT / file).read_text())), file
 
 
 def test_the_core_imports_no_library_of_files_charts_tables_or_simulation():

@@ -8,6 +8,7 @@ import toy
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.mountings import fixed_score
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.grid import load_sweep
@@ -194,6 +195,15 @@ def test_what_is_complete_scores_before_what_is_not_then_by_objective_or_by_the_
                 assert found[i] <= found[j]
             elif not complete[i] and not complete[j] and done[i] > done[j]:
                 assert found[i] < found[j]
+
+
+def test_the_benchmark_of_differential_evolution_ranks_mountings_as_the_search_does():
+    rng = np.random.default_rng(0)
+    complete, done = rng.random(100) < 0.5, rng.integers(0, 90, 100) / 100
+    for objective in (rng.normal(0.01, 0.005, 100), -rng.uniform(3, 60, 100)):  # clearances [m], joint motions [rad]
+        own = known(rng.random((100, 2)), np.where(complete, objective, -np.inf), complete, np.where(complete, 1, done))
+        scores, fixed = score(own, np.ones(1)), fixed_score(own)
+        assert ((scores[:, None] < scores) == (fixed[:, None] < fixed)).all()
 
 
 def test_an_objective_of_which_nothing_is_known_does_not_hide_the_other():

@@ -311,7 +311,7 @@ def test_without_opengl_the_packages_are_named(made, opengl, tmp_path, monkeypat
     opengl()
     assert main(["render", str(made[1])]) == 2
     error = capsys.readouterr().err
-    assert "libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa)" in error and error.count("\n") == 1
+    assert "libegl1, libopengl0 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa)" in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 

@@ -131,7 +131,7 @@ def place(
         is_over = True
         try:
             with suppress(TimeOver):
-                for each in _rounds(planner, clock, folder / "rounds", report):
+                for each in search_rounds(planner, clock, folder / "rounds", report):
                     scores.append(each)
             if not scores:
                 clock.forget()
@@ -166,7 +166,9 @@ def _targets(search: Search) -> int:
     return int(sweep_of(search, search.ranges.values(ends)).batch().scenarios.count.max())
 
 
-def _rounds(planner: MountingPlanner, clock: Clock, folder: Path, report: ProgressReporter) -> Iterator[MountingScores]:
+def search_rounds(
+    planner: MountingPlanner, clock: Clock, folder: Path, report: ProgressReporter
+) -> Iterator[MountingScores]:
     """Propose and plan mountings round by round, and yield the scores of each call of the planner.
 
     With a time limit, the mountings of a round are planned in several calls.
@@ -182,13 +184,13 @@ def _rounds(planner: MountingPlanner, clock: Clock, folder: Path, report: Progre
     while clock.used < SEARCHED and (mountings is None or known is None or len(known.u) < mountings):
         here = 0 if known is None else len(known.u)
         if evolution is None and (here < spread if spread is not None else clock.used < EVEN * SEARCHED):
-            u = even(d, here, _together(search, clock) if spread is None else min(ROUND, spread - here), seed)
+            u = even(d, here, mountings_together(search, clock) if spread is None else min(ROUND, spread - here), seed)
         else:
             evolution = Evolution(known, len(search.file.objective), seed) if evolution is None else evolution
             u = evolution.ask()
         parts: list[SearchResults] = []
         while (done := sum(len(part.u) for part in parts)) < len(u) and (not done or clock.used < SEARCHED):
-            now = u[done:] if spread is not None else u[done : done + _together(search, clock)]
+            now = u[done:] if spread is not None else u[done : done + mountings_together(search, clock)]
             into = folder / f"{number:03d}", folder.with_name("raised")
             found = planner.evaluate_raised(
                 search.ranges.values(now), *into, lambda plans: clock.fits(plans, quick=True, share=SEARCHED)
@@ -210,7 +212,7 @@ def _joined(parts: Sequence[SearchResults]) -> SearchResults:
     return SearchResults(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _together(search: Search, clock: Clock) -> int:
+def mountings_together(search: Search, clock: Clock) -> int:
     """Return the number of mountings in the next call of a search with a time limit."""
     return min(ROUND, max(1, clock.plans_together() // max(1, len(search.seams))))
 

@@ -3,6 +3,7 @@
 import functools
 import hashlib
 import importlib.metadata
+import json
 import os
 import platform
 import subprocess
@@ -56,8 +57,24 @@ def planned_by() -> dict:
 
 @functools.cache  # the running code does not change if another commit is checked out later
 def commit() -> str | None:
-    """Return the commit of the source of this package, see `commit_of`."""
-    return commit_of(Path(htcp_jax.__file__).parent)
+    """Return the commit of the source of this package, see `commit_of`, or the one from which pip installed it."""
+    return commit_of(Path(htcp_jax.__file__).parent) or installed_commit("htcp_jax", Path(htcp_jax.__file__))
+
+
+def installed_commit(name: str, file: Path) -> str | None:
+    """Return the commit that pip recorded when it installed a distribution from a git repository (PEP 610).
+
+    Args:
+        name: Name of the distribution and of its package.
+        file: The package's `__init__.py` that is in use. If it is not the installed one, the result is None.
+    """
+    try:
+        installed = importlib.metadata.distribution(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    if Path(str(installed.locate_file(f"{name}/__init__.py"))).resolve() != file.resolve():
+        return None
+    return json.loads(installed.read_text("direct_url.json") or "{}").get("vcs_info", {}).get("commit_id")
 
 
 def commit_of(package: Path) -> str | None:

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from htcp_jax.errors import InputError
 
 PLATFORMS = "egl", "osmesa"
-NEEDED = "install libegl1 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa); these are Debian's names"
+NEEDED = "install libegl1, libopengl0 and libgl1-mesa-dri (EGL), or libosmesa6 (OSMesa); these are Debian's names"
 TRIAL = """
 import mujoco
 from mujoco.{platform} import GLContext
