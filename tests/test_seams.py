@@ -6,6 +6,7 @@ import json
 import shutil
 import warnings
 from contextlib import redirect_stdout
+from functools import partial
 
 import numpy as np
 import pytest
@@ -84,6 +85,14 @@ def complete(tmp_path_factory):
     file = write_job(folder, LEFT | {"after": ["right"]}, RIGHT | {"direction": "backward"})
     assert main(["plan", str(file), "--out", str(folder / "out"), "--retract"]) == 0
     return folder / "out"
+
+
+def plan_quickly(file, out) -> None:
+    """Plan by the command, with short searches for the order: four seams have 24."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("htcp_jax.sequencing.sequence.BOUND_EFFORT", 0.1)
+        patch.setattr(sequencing, "find_sequence", partial(sequencing.find_sequence, effort=0.1))
+        assert main(["plan", str(file), "--out", str(out)]) == 0
 
 
 def rows_of(folder, name="motion.csv") -> list[dict]:
@@ -187,7 +196,7 @@ def points(tmp_path_factory):
     """Folder of a job with three points and a seam, and of its plan."""
     folder = tmp_path_factory.mktemp("points")
     seams = LEFT | {"rows": [2, 3], "points": True}, RIGHT
-    assert main(["plan", str(write_job(folder, *seams)), "--out", str(folder / "out")]) == 0
+    plan_quickly(write_job(folder, *seams), folder / "out")
     return folder
 
 
@@ -512,8 +521,7 @@ def with_other_rows(tmp_path_factory):
     """Folder of a plan whose seams have a cone, angles of a torch, and points without an orientation."""
     folder = tmp_path_factory.mktemp("rows")
     seams = LEFT, RIGHT | {"task": [POINT, TORCH], "margin_m": 0.002}, TACKS
-    file = write_job(folder, *seams, task=[POINT, AXIS])
-    assert main(["plan", str(file), "--out", str(folder / "out")]) == 0
+    plan_quickly(write_job(folder, *seams, task=[POINT, AXIS]), folder / "out")
     return folder / "out"
 
 
