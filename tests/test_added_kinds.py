@@ -117,38 +117,47 @@ def scenario_with(obstacle: dict):
     return robot, given_obstacles(job.cell.obstacles), scenario
 
 
+def sampled(obstacles, robot, scenario, bodies, count: int):
+    """Distances of the capsules to the obstacle at equally spaced places of their axes, the smallest of each."""
+    own = obstacles[0].template.with_numbers(scenario.obstacle_numbers)
+    points = bodies.p[:, None] + np.linspace(0, 1, count)[None, :, None] * (bodies.q - bodies.p)[:, None]
+    return jax.vmap(jax.vmap(own.distance))(points).min(axis=1) - robot.capsule_radius
+
+
 @pytest.mark.parametrize("obstacle", [BALL, RING])
 def test_distances_are_those_of_a_dense_look_and_gradients_those_of_differences(obstacle):
     robot, obstacles, scenario = scenario_with(obstacle)
-    own = obstacles[0].template.with_numbers(scenario.obstacle_numbers)
-    x = jnp.asarray(scenario.x_start + 0.1)
-    bodies = bodies_at(robot, scenario, x)
-    t = np.linspace(0, 1, 4001)[:, None]
+
+    def at(x):
+        return clearances(robot, obstacles, scenario, x)
+
+    @jax.jit
+    def seen(x, near):
+        bodies = bodies_at(robot, scenario, x)
+        dense = sampled(obstacles, robot, scenario, bodies, 4001)
+        return at(x), jax.jacfwd(at)(x), dense, obstacles[0].free_radius(robot, scenario, bodies), jax.lax.map(at, near)
+
+    x, h = scenario.x_start + 0.1, 1e-6
+    near = np.concatenate([x + h * np.eye(len(x)), x - h * np.eye(len(x))])
     moving = np.array(robot.capsule_link) > 0
-    for k in np.flatnonzero(moving):
-        points = bodies.p[k][None] + t * (bodies.q[k] - bodies.p[k])[None]
-        dense = float(jax.vmap(own.distance)(points).min()) - float(robot.capsule_radius[k])
-        found = float(clearances(robot, obstacles, scenario, x)[k])
-        assert found <= dense + 1e-9 and found >= dense - 1e-3
-        assert obstacles[0].free_radius(robot, scenario, bodies)[k] <= found
-    gradient = jax.jacfwd(lambda x: clearances(robot, obstacles, scenario, x))(x)
-    for j in range(len(x)):
-        ahead = [clearances(robot, obstacles, scenario, x.at[j].add(h)) for h in (1e-6, -1e-6)]
-        difference = (ahead[0] - ahead[1]) / 2e-6
-        np.testing.assert_allclose(np.asarray(gradient[:, j])[moving], np.asarray(difference)[moving], atol=1e-4)
+    found, gradient, dense, least, beside = (np.asarray(each) for each in seen(x, near))
+    assert (found <= dense + 1e-9)[moving].all() and (found >= dense - 1e-3)[moving].all()
+    assert (least <= found)[moving].all()
+    ahead, behind = beside.reshape(2, len(x), -1)
+    np.testing.assert_allclose(gradient.T[:, moving], ((ahead - behind) / (2 * h))[:, moving], atol=1e-4)
 
 
 def test_the_bound_of_an_obstacle_that_is_not_convex_holds_along_every_axis(kinds):
     robot, obstacles, scenario = scenario_with(RING)
-    rng = np.random.default_rng(0)
-    for x in jnp.asarray(rng.uniform(-1.5, 1.5, (8, 6))):
+
+    @jax.jit
+    @jax.vmap
+    def seen(x):
         bodies = bodies_at(robot, scenario, x)
-        own = obstacles[0].template.with_numbers(scenario.obstacle_numbers)
-        points = bodies.p[:, None] + np.linspace(0, 1, 2001)[None, :, None] * (bodies.q - bodies.p)[:, None]
-        dense = jax.vmap(jax.vmap(own.distance))(points).min(axis=1) - robot.capsule_radius
-        moving = np.array(robot.capsule_link) > 0
-        least = np.asarray(obstacles[0].free_radius(robot, scenario, bodies))
-        assert (least[moving] <= np.asarray(dense)[moving] + 1e-12).all()
+        return obstacles[0].free_radius(robot, scenario, bodies), sampled(obstacles, robot, scenario, bodies, 2001)
+
+    least, dense = (np.asarray(each) for each in seen(np.random.default_rng(0).uniform(-1.5, 1.5, (8, 6))))
+    assert (least <= dense + 1e-12)[:, np.array(robot.capsule_link) > 0].all()
 
 
 def test_scenarios_that_differ_in_the_balls_position_share_one_call_and_one_compilation():
@@ -187,17 +196,21 @@ def test_the_slack_of_a_row_holds_on_all_of_an_interval(row):
     job = load_config({"task": [TRACK, row]})
     robot, _, scenario = scene(job)
     task = task_of_job(job, robot)
-    regions = between(task, jnp.asarray(scenario.task_goals[[-2, -1]]))
+    regions, x = between(task, jnp.asarray(scenario.task_goals[[-2, -1]])), jnp.asarray(scenario.x_start)
+
+    @jax.jit
+    def seen(rates):
+        found = row_slacks(robot, task.parts, regions, x, rates, jnp.asarray(0.5))
+        return found.left[0], jax.vmap(lambda s: task.value(robot, x + s * rates)[5])(jnp.linspace(-0.5, 0.5, 101))
+
     rng = np.random.default_rng(1)
     for size in np.geomspace(1e-4, 0.5, 12):
-        x, rates = jnp.asarray(scenario.x_start), jnp.asarray(size * rng.normal(size=6))
-        found = row_slacks(robot, task.parts, regions, x, rates, jnp.asarray(0.5))
-        values = [task.value(robot, x + s * rates)[3:] for s in np.linspace(-0.5, 0.5, 101)]
-        height = np.array([value[2] for value in values])
+        rates = size * rng.normal(size=6)
+        left, height = (np.asarray(each) for each in seen(rates))
         if row is ABOVE:
-            assert (height - row["height_m"] + task.tolerance_m >= float(found.left[0])).all()
+            assert (height - row["height_m"] + task.tolerance_m >= float(left)).all()
         else:
-            assert (found.left[0] >= 0) == (0.5 * np.abs(rates).max() <= 0.01)
+            assert (left >= 0) == (0.5 * np.abs(rates).max() <= 0.01)
 
 
 def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
@@ -219,9 +232,9 @@ def test_a_row_without_a_rate_is_sampled_and_nowhere_called_proven():
 def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
     on_path = htcp_jax.PointRow(point="tcp", on="path")
     plan = htcp_jax.plan({"method": "baseline"}, task=[on_path, kinds["stays-above"]("link4", 1.4)])
-    x = jnp.asarray(plan.plans.x[0][plan.plans.tracked[0]])
-    task = task_of_job(plan.job, plan.robot)
-    height = np.array([task.value(plan.robot, q)[5] for q in x])[int(plan.scenario.on_path) :]
+    x = plan.plans.x[0][plan.plans.tracked[0]]
+    value = jax.jit(jax.vmap(task_of_job(plan.job, plan.robot).value, (None, 0)))
+    height = np.asarray(value(plan.robot, x))[int(plan.scenario.on_path) :, 5]
     assert len(height) and (height >= 1.4 - 1e-9).all()
     assert (
         not (plan.plans.segment_status == SegmentStatus.SAMPLED).any()

@@ -83,7 +83,9 @@ def test_another_margin_path_tolerance_seed_and_54_placements_compile_nothing(mo
     monkeypatch.setattr(EXECUTABLES, "_compiled", {})
     toy.planned([toy.scenario()], warm_up=("beam",))
     before = len(EXECUTABLES)
-    other = replace(toy.SETTINGS, path_tolerance_m=5e-4, seed=3)
     many = [toy.scenario(number, shift=(0.0, 1e-4 * number, 0.0), margin_m=1e-3) for number in range(54)]
-    plans = toy.planned(many, settings=other)
-    assert len(EXECUTABLES) == before and plans.compile_s == 0
+    for placements, effort in ((many, 0.0), (many[:8], 0.1)):  # dead ends of a few fill a table
+        other = replace(toy.SETTINGS, path_tolerance_m=5e-4, seed=3, effort=effort)
+        plans = toy.planned(placements, settings=other)
+        assert len(EXECUTABLES) == before and plans.compile_s == 0
+    assert len(plans.dead_ends.scenario) == 8

@@ -198,7 +198,7 @@ def test_a_search_that_is_stopped_before_the_end_leaves_a_ranking_that_says_so(h
     assert htcp_jax.plan(here / "out" / "best-1.yaml").complete
 
 
-def test_a_search_that_is_stopped_before_its_first_ranking_leaves_one_of_the_quick_plans(found, here):
+def test_a_search_that_is_stopped_before_its_first_ranking_leaves_one_of_the_quick_plans(here):
     """Regression: "no plan was finished and no file was written" after minutes of search."""
     with pytest.raises(
         Interrupted, match=r"stopped; the ranking so far of \d mountings? is in .*ranked.json; "
@@ -214,8 +214,6 @@ def test_a_search_that_is_stopped_before_its_first_ranking_leaves_one_of_the_qui
     with pytest.raises(Interrupted):  # fewer plans are known than before
         place_toy(here, "out", progress=stop_at("search"))
     assert (here / "out" / "ranked.json").read_bytes() == before
-    place_toy(here, "out")
-    assert results(here / "out") == results(found.folder)
 
 
 def test_better_mountings_are_reported_as_they_are_found(found, heard):
