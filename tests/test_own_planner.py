@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import page_package
+import pyarrow.parquet as pq
 import pytest
 import toy
 
@@ -82,6 +83,19 @@ def test_it_is_listed_planned_checked_drawn_and_shown(place):
     code, _, err = place.run("render", "plan", "--movie", "none", "--width", "320", "--out", "pictures")
     assert code == 0, err
     assert list((place.folder / "pictures").glob(f"*{NAME}*"))
+
+
+@pytest.mark.slow
+def test_the_files_of_its_plan_and_of_its_run_name_its_package(place):
+    place.run("plan", "job.yaml", "--method", NAME, "--out", "packaged", "--set", "margin_m=0")
+    written = json.loads((place.folder / "packaged" / "summary.json").read_text())["plugins"]
+    assert list(written) == [f"method {NAME}"]
+    assert place.run("sweep", "grid.yaml", "--methods", f"baseline,{NAME}", "--limit", "1", "--out", "one")[0] == 0
+    made = {
+        file.name.partition("-0")[0]: json.loads(pq.read_schema(file).metadata[b"htcp_jax"]).get("plugins")
+        for file in (place.folder / "one" / "targets").glob("*.parquet")
+    }
+    assert made == {"baseline": None, NAME: written}
 
 
 @pytest.mark.slow

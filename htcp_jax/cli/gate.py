@@ -136,18 +136,18 @@ def _refuse_missing(plugins: Mapping[str, str], methods: Collection[str]) -> Non
         InputError: If one of them is missing. Its results cannot be planned again here, so they may be old ones.
     """
     registries = {each.noun: each for each in (registry.METHODS, obstacle_kind.OBSTACLES, TASK_ROWS)}
-    for added, package in plugins.items():
+    for added, package in manifest.plugins_for(plugins, methods).items():
         noun, _, name = added.rpartition(" ")
-        is_judged = noun != registry.METHODS.noun or name in methods
-        if is_judged and noun in registries and name not in registries[noun].names():
-            raise InputError(f"the {added} was of {package} when it planned, which is not installed here: install it")
+        if noun in registries and name not in registries[noun].names():
+            raise InputError(f"the {added} came from the package {package}, which is not installed here: install it")
 
 
 def _comparison_record(verdict: regression.GateVerdict) -> dict:
     changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
     changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
-    origins = {"baseline": verdict.baseline._asdict(), "run": [one._asdict() for one in verdict.run]}
+    baseline, *run = (one._asdict() | {"plugins": {**one.plugins}} for one in (verdict.baseline, *verdict.run))
+    origins = {"baseline": baseline, "run": run}
     checks = [check._asdict() for check in verdict.checks]
     now = origins | {"allow": verdict.allow.model_dump(), "rows": rows, "checks": checks, "changed": changed}
     return verdict._asdict() | now
@@ -186,5 +186,5 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
 
 
 def _describe(changed: regression.ChangedOutcome) -> Text:
-    where, rest = str(changed).split(": first", 1)
-    return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), f": first{rest}")
+    where, sign, rest = str(changed).partition(": the first")
+    return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), sign + rest)
