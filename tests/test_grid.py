@@ -149,7 +149,7 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [workpiece.path: {offsets: [a]}]", "workpiece.path takes names of files"),
         ("grid: [margin_m: [-1]]", "scenario 0: margin_m is -1"),
         ("grid: [start_rad: [[0, 0]]]", "scenario 0: start has 2 joint positions"),
-        ("grid: [start_rad.1: [0, 9]]", "scenario 1: start: joint joint1 at 9 is outside its limits"),
+        ("grid: [start_rad.1: [0, 9]]", "scenario 1: start: joint1 at 9 is outside its limits"),
         ("grid: [workpiece.path: [none.csv]]", "none.csv: no such file"),
         ("gird: []", "unknown key gird; did you mean grid?"),
         ("grid: 3", "grid is 3: "),

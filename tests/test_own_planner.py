@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -204,6 +205,15 @@ def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
         htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "standstill", config=job, on="ray")
 
 
+def test_a_name_in_use_is_refused_with_the_place_that_it_comes_from(standstill, monkeypatch):
+    with pytest.raises(InputError, match=r"exists: <.*Standstill object at \w+>, registered in this process"):
+        htcp_jax.register(Standstill())
+    point = EntryPoint("theirs", "their_planner:PLANNER", registry.METHODS.group)
+    monkeypatch.setitem(registry.METHODS._entry_points, "theirs", point)
+    with pytest.raises(InputError, match="exists: the entry point their_planner:PLANNER of the installed package"):
+        htcp_jax.register(StepQPs("theirs", "Mine", "the same name"))
+
+
 CHANGING = """
 import htcp_jax
 from htcp_jax.status import Status
@@ -241,7 +251,7 @@ def test_a_run_is_not_continued_by_a_method_whose_code_has_changed(tmp_path, mon
 @pytest.mark.parametrize(
     ("method", "line"),
     [
-        (StepQPs("baseline", "Mine", "the same name"), "cannot register 'baseline': a method with this name exists"),
+        (StepQPs("baseline", "Mine", "the same name"), "'baseline': a method with this name exists: it is built in"),
         (StepQPs("My_planner", "Mine", "a name that no file has"), "lower-case letters, digits and hyphens"),
         (StepQPs("mine", "", "no title"), "its attribute title is missing"),
         (Standstill, "it must be an instance, not a class"),
