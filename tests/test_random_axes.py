@@ -79,6 +79,13 @@ def test_a_run_with_drawn_values_is_that_with_the_same_values_in_a_list(job):
     assert a == b
 
 
+def test_a_drawn_start_outside_the_limits_is_refused_with_a_remedy(job):
+    spec = load_sweep({**job, "grid": [{"start_rad.3": {"normal": [0.5, 30], "count": 4}}]})
+    line = r"start: j3 at \S+ is outside its limits .*; its values are drawn: choose a smaller SIGMA, or uniform"
+    with pytest.raises(InputError, match=line):
+        spec.batch()
+
+
 def test_a_joint_zero_is_refused_as_joints_are_counted_from_1(job):
     with pytest.raises(InputError, match=r"counted from 1; valid: start_rad\.1 to start_rad\.4"):
         load_sweep({**job, "grid": [{"start_rad.0": [0.1]}]})
