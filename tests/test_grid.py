@@ -135,7 +135,10 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [margin_m: 1]", "margin_m needs a list of values"),
         ("grid: [margin_m: {offset: [1]}]", "margin_m needs a list of values"),
         ("grid: [margin: [1]]", "grid, axis 1: unknown parameter margin; did you mean margin_m or margin_on?"),
-        ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; joints are counted from 1; valid: start_rad.1 to start_rad.6"),
+        (
+            "grid: [start_rad.7: [1]]",
+            "unknown parameter start_rad.7; joints are counted from 1; valid: start_rad.1 to",
+        ),
         (
             "grid: [cell.obstacles: [[], []]]",
             "cell.obstacles is a list, which cannot vary; write one job file per list",
