@@ -28,7 +28,7 @@ from .settings import Settings
 from .spec.obstacle_kind import ObstacleKind, ObstacleShape
 from .spec.task_list import AxisRow, OrientationRow, PointRow
 from .spec.task_row_kind import TaskRowKind
-from .status import Status
+from .status import SegmentStatus, Status
 from .trajectory.run_timing import time_run
 
 __version__: str
@@ -49,6 +49,7 @@ __all__ = [
     "PointCloud",
     "PointRow",
     "Problem",
+    "SegmentStatus",
     "Settings",
     "Status",
     "TaskRowKind",

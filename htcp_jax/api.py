@@ -479,8 +479,8 @@ class Plan:
     def record(self) -> dict[str, Any]:
         """Return the contents of summary.json.
 
-        It contains the summary, a description of the failed target, versions, the complete job with absolute file
-        paths, and the SHA-256 of these files.
+        It contains the summary, a description of the failed target, versions, commit and plugins, the complete job
+        with absolute file paths, and the SHA-256 of these files.
         """
         known = {"method": self.job.method, "validated": None, **plan_folder.summary_record(self.summary)}
         known["motion"] = self.motion_summary.record()
@@ -500,8 +500,9 @@ class Plan:
         known["cause"] = self.start_cause and self.start_cause.description
         config = self.job.model_dump()
         files = runs.input_files.file_hashes(runs.input_files.anchor_files(config))
+        plugins = provenance.plugins_of(registry.METHODS, [self.job.method]) | provenance.plugins_of_kinds(self.job)
         with devices.on(devices.choose(self.device)[0]):
-            return {**known, **provenance.provenance(), "config": config, "files": files}
+            return {**known, **provenance.planned_by(), "plugins": plugins, "config": config, "files": files}
 
     def write(self, folder: Path, *, retract: bool = False) -> None:
         """Write motion.csv, trajectory.csv, trajectory.npz, summary.json and plan.png into an existing folder.

@@ -108,8 +108,9 @@ def test_a_scenario_that_ends_earlier_fails_and_is_named_with_target_and_reason(
     assert gate(run, baseline) == REGRESSION
     reported = capsys.readouterr().out
     label = f"rotation y 0 rad, tool extension {LONGER} m"
-    line = f"baseline, scenario 2 ({label}): first at target 4, {TARGETS} tracked in the baseline, 4 now"
-    assert f"{line}; {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
+    counts = f"{TARGETS} tracked in the baseline, 4 now"
+    line = f"baseline, scenario 2 ({label}): the first difference is at target 4; {counts}; the run ended there"
+    assert f"{line}: {Status.QP_INFEASIBLE.message}" in reported.splitlines() and reported.endswith("FAILED\n")
     assert "failed  baseline: 4 targets fewer tracked, 28 of 32; allowed decrease: 0" in reported
     assert "failed  baseline: 1 scenario ended earlier; allowed: 0" in reported
     assert "failed  baseline: 87.50 % of the reachable targets are tracked, 100.00 % in the baseline" in reported
@@ -156,7 +157,7 @@ def test_an_improvement_passes_and_is_listed(run, tmp_path, capsys):
     reported = capsys.readouterr().out
     assert (
         "better  baseline tracks 3 targets more" in reported
-        and "scenario 0 (rotation y 0 rad, tool extension 0 m): first" in reported
+        and "scenario 0 (rotation y 0 rad, tool extension 0 m): the first" in reported
     )
     assert Status.ITERATION_LIMIT.message in reported
 
@@ -378,10 +379,23 @@ def test_methods_gates_a_part_of_the_methods(run, baseline, capsys):
 
 def test_other_flags_and_packages_of_extensions_are_stated(run, baseline, capsys):
     edit_manifest(run, lambda manifest: manifest["planned_by"][0].update(xla_flags="--other"))
-    edit_manifest(run, lambda manifest: manifest.update(plugins={"method mine": "mine 1.1"}))
+    edit_manifest(run, lambda manifest: manifest.update(plugins={"method baseline": "mine 1.1"}))
     verdict = outcome(run, baseline, capsys)
     assert verdict["passed"] and verdict["elsewhere"] and "now '--other'" in verdict["notes"][0]
-    assert verdict["notes"][1] == "the method mine was of unknown in the baseline, now of mine 1.1"
+    assert verdict["notes"][1] == "the method baseline came from an unknown package in the baseline, now from mine 1.1"
+
+
+def test_packages_of_methods_that_are_not_compared_are_not_stated(run, baseline, tmp_path, capsys):
+    edit_manifest(run, lambda manifest: manifest.update(plugins={"method baseline": "mine 1.1"}))
+    junit = tmp_path / "junit.xml"
+    assert gate(run, baseline, "--methods", "cspace-sample", "--junit", str(junit)) == PASSED
+    assert "mine 1.1" not in capsys.readouterr().out + junit.read_text()
+
+
+def test_the_junit_file_names_the_package_of_a_compared_method(run, baseline, tmp_path):
+    edit_manifest(run, lambda manifest: manifest.update(plugins={"method baseline": "mine 1.1"}))
+    gate(run, baseline, "--junit", str(tmp_path / "junit.xml"))
+    assert '<property name="run.method baseline" value="mine 1.1" />' in (tmp_path / "junit.xml").read_text()
 
 
 @pytest.mark.parametrize("added", ["method cspace-sample", "kind of obstacle ball", "kind of task row spin"])
@@ -392,7 +406,7 @@ def test_what_a_missing_package_has_planned_is_not_judged(run, baseline, tmp_pat
     for options in (("--junit", str(junit)), ("--update",)):
         assert gate(run, baseline, *options) == BAD_INPUT
         output = capsys.readouterr()
-        line = f"htcp: the {added} was of theirs 1.1 when it planned, which is not installed here: install it\n"
+        line = f"htcp: the {added} came from the package theirs 1.1, which is not installed here: install it\n"
         assert (output.out, output.err) == ("", line) and not junit.exists()
     is_judged = not added.startswith("method")
     assert gate(run, baseline, "--methods", "baseline") == (BAD_INPUT if is_judged else PASSED)

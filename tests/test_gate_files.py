@@ -85,7 +85,8 @@ def test_the_junit_file_has_one_test_case_per_method_and_check(place, tmp_path):
 
 def test_a_failed_test_case_names_the_scenarios(verdict):
     (failure,) = cases(junit(verdict))["grid.baseline", "scenarios ending earlier"]
-    assert "baseline, scenario 2 (rotation y 0 rad, tool extension 0.01 m): first at target 4" in failure.text
+    label = "baseline, scenario 2 (rotation y 0 rad, tool extension 0.01 m)"
+    assert f"{label}: the first difference is at target 4" in failure.text
 
 
 def test_the_markdown_has_method_before_now_difference_and_the_scenarios_that_changed(place, tmp_path):

@@ -135,7 +135,10 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [margin_m: 1]", "margin_m needs a list of values"),
         ("grid: [margin_m: {offset: [1]}]", "margin_m needs a list of values"),
         ("grid: [margin: [1]]", "grid, axis 1: unknown parameter margin; did you mean margin_m or margin_on?"),
-        ("grid: [start_rad.7: [1]]", "unknown parameter start_rad.7; did you mean start_rad"),
+        (
+            "grid: [start_rad.7: [1]]",
+            "unknown parameter start_rad.7; joints are counted from 1; valid: start_rad.1 to",
+        ),
         (
             "grid: [cell.obstacles: [[], []]]",
             "cell.obstacles is a list, which cannot vary; write one job file per list",
@@ -149,7 +152,7 @@ def test_a_limit_takes_the_first_scenarios():
         ("grid: [workpiece.path: {offsets: [a]}]", "workpiece.path takes names of files"),
         ("grid: [margin_m: [-1]]", "scenario 0: margin_m is -1"),
         ("grid: [start_rad: [[0, 0]]]", "scenario 0: start has 2 joint positions"),
-        ("grid: [start_rad.1: [0, 9]]", "scenario 1: start: joint joint1 at 9 is outside its limits"),
+        ("grid: [start_rad.1: [0, 9]]", "scenario 1: start: joint1 at 9 is outside its limits"),
         ("grid: [workpiece.path: [none.csv]]", "none.csv: no such file"),
         ("gird: []", "unknown key gird; did you mean grid?"),
         ("grid: 3", "grid is 3: "),

@@ -6,10 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import page_package
+import pyarrow.parquet as pq
 import pytest
 import toy
 
@@ -82,6 +84,19 @@ def test_it_is_listed_planned_checked_drawn_and_shown(place):
     code, _, err = place.run("render", "plan", "--movie", "none", "--width", "320", "--out", "pictures")
     assert code == 0, err
     assert list((place.folder / "pictures").glob(f"*{NAME}*"))
+
+
+@pytest.mark.slow
+def test_the_files_of_its_plan_and_of_its_run_name_its_package(place):
+    place.run("plan", "job.yaml", "--method", NAME, "--out", "packaged", "--set", "margin_m=0")
+    written = json.loads((place.folder / "packaged" / "summary.json").read_text())["plugins"]
+    assert list(written) == [f"method {NAME}"]
+    assert place.run("sweep", "grid.yaml", "--methods", f"baseline,{NAME}", "--limit", "1", "--out", "one")[0] == 0
+    made = {
+        file.name.partition("-0")[0]: json.loads(pq.read_schema(file).metadata[b"htcp_jax"]).get("plugins")
+        for file in (place.folder / "one" / "targets").glob("*.parquet")
+    }
+    assert made == {"baseline": None, NAME: written}
 
 
 @pytest.mark.slow
@@ -190,6 +205,15 @@ def test_a_method_of_this_process_plans_and_is_listed(standstill, tmp_path):
         htcp_jax.sweep({"grid": [{"margin_m": [0.0]}]}, "standstill", config=job, on="ray")
 
 
+def test_a_name_in_use_is_refused_with_the_place_that_it_comes_from(standstill, monkeypatch):
+    with pytest.raises(InputError, match=r"exists: <.*Standstill object at \w+>, registered in this process"):
+        htcp_jax.register(Standstill())
+    point = EntryPoint("theirs", "their_planner:PLANNER", registry.METHODS.group)
+    monkeypatch.setitem(registry.METHODS._entry_points, "theirs", point)
+    with pytest.raises(InputError, match="exists: the entry point their_planner:PLANNER of the installed package"):
+        htcp_jax.register(StepQPs("theirs", "Mine", "the same name"))
+
+
 CHANGING = """
 import htcp_jax
 from htcp_jax.status import Status
@@ -227,7 +251,7 @@ def test_a_run_is_not_continued_by_a_method_whose_code_has_changed(tmp_path, mon
 @pytest.mark.parametrize(
     ("method", "line"),
     [
-        (StepQPs("baseline", "Mine", "the same name"), "cannot register 'baseline': a method with this name exists"),
+        (StepQPs("baseline", "Mine", "the same name"), "'baseline': a method with this name exists: it is built in"),
         (StepQPs("My_planner", "Mine", "a name that no file has"), "lower-case letters, digits and hyphens"),
         (StepQPs("mine", "", "no title"), "its attribute title is missing"),
         (Standstill, "it must be an instance, not a class"),

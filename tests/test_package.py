@@ -100,5 +100,14 @@ def test_a_bad_job_is_refused_before_jax_and_scipy_are_imported(words):
     assert found.stdout == "2 set()\n" and found.stderr.count("\n") == 1
 
 
+def test_the_help_of_the_gate_does_not_import_jax():
+    script = (
+        "import sys; from htcp_jax.cli.main import main; code = main(['gate', '--help']); "
+        "print(code, {'jax', 'scipy', 'pandas', 'mujoco', 'matplotlib'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert found.stdout.splitlines()[-1] == "0 set()"
+
+
 def _git(folder: Path, *words: str) -> str:
     return subprocess.run(["git", "-C", str(folder), *words], check=True, capture_output=True, text=True).stdout

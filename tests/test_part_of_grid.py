@@ -1,6 +1,7 @@
 """Sweeps of some scenarios of a grid: chosen by number, or drawn."""
 
 import json
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pyarrow as pa
@@ -10,10 +11,12 @@ import toy
 from small_run import edit_manifest
 
 from htcp_jax.cli import main
+from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.draws import drawn_numbers
 from htcp_jax.report.chapter import part_facts
 from htcp_jax.report.groups import read_parts
+from htcp_jax.report.report import _provenance
 from htcp_jax.runs import open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.sweep import sweep
@@ -102,6 +105,24 @@ def test_a_seed_that_varies_is_a_column_of_the_times(here):
 def test_the_times_name_the_package_of_the_method(here, full):
     edit_manifest(full.folder, lambda manifest: manifest.update(plugins={"method baseline": "theirs 1.2"}))
     assert {*open_run(full.folder).frame("times").package} == {"theirs 1.2"}
+
+
+def test_a_run_states_when_it_began_also_after_it_is_continued(here):
+    began = sweep(GRID, "baseline", here / "run", limit=1).manifest.started
+    edit_manifest(here / "run", lambda manifest: manifest.update(started="2001-02-03T04:05:06+00:00"))
+    assert datetime.now(UTC) - datetime.fromisoformat(began) < timedelta(hours=1)
+    assert sweep(GRID, "baseline", here / "run").manifest.started == "2001-02-03T04:05:06+00:00"
+
+
+def test_a_run_states_the_cores_that_planned_each_shard(here, full):
+    assert {*full.frame("shards").cores} == {devices.cores()}
+
+
+def test_a_report_states_the_package_of_a_method_and_when_the_run_began(here, full):
+    edit_manifest(full.folder, lambda manifest: manifest.update(plugins={"method baseline": "theirs 1.2"}))
+    run = open_run(full.folder)
+    assert f"method baseline from theirs 1.2; on {devices.cores()} core" in _provenance(run)
+    assert f"started {run.manifest.started}" in _provenance(run)
 
 
 def test_a_run_of_an_older_version_has_no_processor_time(here, full):

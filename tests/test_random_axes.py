@@ -7,6 +7,8 @@ import toy
 from htcp_jax.errors import InputError
 from htcp_jax.jobs.draws import normal, uniform
 from htcp_jax.jobs.grid import load_sweep
+from htcp_jax.runs import open_run
+from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.sweep import sweep
 
 DRAWN = {"uniform": [-0.1, 0.1], "count": 4}
@@ -60,6 +62,35 @@ def test_drawn_values_are_in_the_table_and_the_run_is_continued(job, tmp_path):
         sweep(grid, "baseline", tmp_path / "run", seed=1)
 
 
+def test_the_manifest_states_the_distribution_of_a_random_axis(job, tmp_path):
+    axes = [{"start_rad.3": {"offsets": DRAWN}, "margin_m": {"normal": [0.001, 1e-5], "count": 4}}]
+    sweep({**job, "grid": axes}, "baseline", tmp_path / "run", limit=1, seed=11)
+    manifest = open_run(tmp_path / "run").manifest
+    assert [axis.text(manifest.seed) for axis in manifest.drawn] == [
+        "start_rad.j3: offsets uniform in [-0.1, 0.1], 4 values, seed 11",
+        "margin_m: normal, mean 0.001, standard deviation 1e-05, 4 values, seed 11",
+    ]
+
+
+def test_a_run_with_drawn_values_is_that_with_the_same_values_in_a_list(job):
+    name = "workpiece.rotation_y_rad"
+    drawn, listed = ({**job, "grid": [{name: each}]} for each in (DRAWN, [*values(job, name, {name: DRAWN})]))
+    a, b = (recorded_inputs(load_sweep(each)) for each in (drawn, listed))
+    assert a == b
+
+
+def test_a_drawn_start_outside_the_limits_is_refused_with_a_remedy(job):
+    spec = load_sweep({**job, "grid": [{"start_rad.3": {"normal": [0.5, 30], "count": 4}}]})
+    line = r"start: j3 at \S+ is outside its limits .*; its values are drawn: choose a smaller SIGMA, or uniform"
+    with pytest.raises(InputError, match=line):
+        spec.batch()
+
+
+def test_a_joint_zero_is_refused_as_joints_are_counted_from_1(job):
+    with pytest.raises(InputError, match=r"counted from 1; valid: start_rad\.1 to start_rad\.4"):
+        load_sweep({**job, "grid": [{"start_rad.0": [0.1]}]})
+
+
 @pytest.mark.parametrize(
     ("key", "value", "text"),
     [
@@ -69,7 +100,11 @@ def test_drawn_values_are_in_the_table_and_the_run_is_continued(job, tmp_path):
         ("margin_m", {"uniform": [0.1, 0.2]}, "a random axis has one of uniform and normal, and count; no other key"),
         ("margin_m", {"uniform": [0.1, 0.2], "normal": [0, 1], "count": 3}, "a random axis has one of uniform and"),
         ("margin_m", {"uniform": [0.1, 0.2], "count": 0}, "count is 0; valid: 1 to 1,000,000"),
-        ("margin_m", {"gaussian": [0.1, 0.2], "count": 2}, r"or \{normal: \[MEAN, SIGMA\], count: N\}"),
+        (
+            "margin_m",
+            {"gaussian": [0.1, 0.2], "count": 2},
+            r"count: N\}, \{offsets: \{uniform: \.\.\.\}\} or",
+        ),
         ("start_rad", {"uniform": [0.1, 0.2], "count": 2}, "start_rad cannot be drawn: only single numbers"),
         ("settings.beam_width", {"uniform": [1, 9], "count": 2}, "settings.beam_width cannot be drawn"),
         ("workpiece.cloud", {"uniform": [1, 9], "count": 2}, "workpiece.cloud cannot be drawn"),

@@ -33,7 +33,7 @@ from htcp_jax.runs import open_run
 from htcp_jax.runs.plan_folder import VALIDATION
 from htcp_jax.runs.sweep import keep_plans, sweep
 from htcp_jax.spec import GP50, SEAMS
-from htcp_jax.status import Status
+from htcp_jax.status import SegmentStatus, Status
 from htcp_jax.validation import STEP_RAD, track, validate_results
 from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall, wall_of
@@ -279,6 +279,24 @@ def test_a_recorded_clearance_that_is_1_mm_off_is_refuted(run):
     (refuted,) = found.refuted
     assert (refuted.scenario, refuted.target) == (1, 7) and f"{1e3 * recorded + 1:.3f} mm was saved" in refuted.reason
     assert found.methods["baseline"].clearance_off_max_mm == pytest.approx(1.0)
+
+
+def test_the_path_deviation_is_that_of_segments_with_a_proven_motion(run):
+    before = validate_results(run).methods["baseline"]
+    scenario, target = before.line_deviation_max_at
+    spoil(run, scenario, target, segment_status=SegmentStatus.OFF_PATH.name)
+    after = validate_results(run).methods["baseline"]
+    assert after.line_deviation_max_at != (scenario, target)
+    assert 0 < after.line_deviation_max_mm <= before.line_deviation_max_mm
+
+
+def test_the_largest_tcp_error_is_printed_with_its_target_scenario_and_method(run, capsys):
+    assert main(["validate", str(run)]) == 0
+    checks = json.loads((run / VALIDATION).read_text())["methods"]
+    method = max(checks, key=lambda name: checks[name]["tcp_error_max_mm"])
+    scenario, target = checks[method]["tcp_error_max_at"]
+    place = f"of each target (target {target} of scenario {scenario} by {method}), and, on proven segments, within"
+    assert place in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_joint_beyond_its_limits_is_refuted_and_a_configuration_that_is_not_there_is_an_error(run):

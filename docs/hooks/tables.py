@@ -28,7 +28,9 @@ MARK = re.compile(
     rf"^(<!-- generated: (job keys|columns|json|statuses|file)(?: ([\w./]+))? -->)\n(?:.*?^{END}$)?",
     re.MULTILINE | re.DOTALL,
 )
-NOTE = "*`make docs` fills in this page, into `build/site`. In Python, `help` prints the descriptions of calls.*\n"
+NOTE = (
+    "*`make docs` builds this page with all descriptions into `build/site`. In Python `help` prints the same text.*\n"
+)
 ROOT = Path(__file__).parents[2]
 JOB = ROOT / "configs" / "duct.yaml"
 SCHEMAS = Path(__file__).parents[1] / "schemas"

@@ -6,21 +6,21 @@ import textwrap
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.text import Text
 
+from htcp_jax import report, runs, validation  # modules that import JAX are loaded when they are used
 from htcp_jax.cli.output import LEAST_TEXT, Json, print_json, print_table, progress_bar, stdout, width
 from htcp_jax.errors import InputError
 from htcp_jax.planning import registry
-from htcp_jax.report import gate as gates
-from htcp_jax.runs import labels, manifest, open_run
 from htcp_jax.spec import TASK_ROWS, obstacle_kind
 from htcp_jax.system import output_files
-from htcp_jax.validation import Baseline, read_baseline
-from htcp_jax.validation import gate as regression
-from htcp_jax.validation import update_baseline as write_baseline
+
+if TYPE_CHECKING:
+    from htcp_jax.validation import Baseline
+    from htcp_jax.validation import gate as regression
 
 PASSED, REGRESSION = 0, 1
 LISTED, INDENT = 20, 12  # on the terminal: maximum number of listed scenarios, and width of the column of names
@@ -69,13 +69,13 @@ def gate(
             raise InputError(f"--update writes no comparison to {files[0]}; omit --update or that file")
         if methods != "all":
             raise InputError("--update writes all methods of the run; omit --update or --methods")
-        planned = open_run(run)
+        planned = runs.open_run(run)
         _refuse_missing(planned.manifest.plugins, planned.methods)
         with progress_bar("plans", time_left=True) as progress:
-            written = write_baseline(planned, baseline, progress)
+            written = validation.update_baseline(planned, baseline, progress)
         print_json({"baseline": str(baseline)}) if as_json else _print_update(run, baseline, written)
         return PASSED
-    known = read_baseline(baseline)
+    known = validation.read_baseline(baseline)
     if methods != "all":
         known = known.only(tuple(dict.fromkeys(name.strip() for name in methods.split(","))))
     taken = [*map(os.path.realpath, (baseline, *files))]
@@ -86,21 +86,21 @@ def gate(
             reserved.enter_context(output_files.writable_file(file))
         verdict = _compare_with(run, known, only_known=methods != "all")
         if junit_file:
-            output_files.write_text(junit_file, gates.junit(verdict))
+            output_files.write_text(junit_file, report.gate.junit(verdict))
         if markdown_file:
-            output_files.append_text(markdown_file, gates.gate_summary(verdict))
+            output_files.append_text(markdown_file, report.gate.gate_summary(verdict))
     print_json(_comparison_record(verdict)) if as_json else _print_comparison(verdict)
     if os.environ.get("GITHUB_ACTIONS") == "true":
-        for line in gates.annotations(verdict):
+        for line in report.gate.annotations(verdict):
             print(line, file=sys.stderr if as_json else sys.stdout)
     return PASSED if verdict.passed else REGRESSION
 
 
-def _print_update(run: Path, file: Path, written: Baseline) -> None:
+def _print_update(run: Path, file: Path, written: "Baseline") -> None:
     allow, given = written.allowance(elsewhere=True), written.allow.elsewhere
     first = next(iter(written.methods.values()))
     of_all = [
-        f"{number:,} of {labels.counted(total, noun)}{f' ({share})' if isinstance(share, str) else ''}"
+        f"{number:,} of {runs.labels.counted(total, noun)}{f' ({share})' if isinstance(share, str) else ''}"
         for number, total, noun, share in (
             (allow.targets, first.targets, "target", given.targets),
             (allow.scenarios, len(first.scenarios), "scenario", given.scenarios),
@@ -112,17 +112,17 @@ def _print_update(run: Path, file: Path, written: Baseline) -> None:
     )
 
 
-def _compare_with(folder: Path, baseline: Baseline, only_known: bool) -> regression.GateVerdict:
+def _compare_with(folder: Path, baseline: "Baseline", only_known: bool) -> "regression.GateVerdict":
     try:
-        run = open_run(folder)
+        run = runs.open_run(folder)
         run = run.only(baseline.methods) if only_known else run
     except InputError as error:
-        if not (folder / manifest.MANIFEST).exists():
+        if not (folder / runs.manifest.MANIFEST).exists():
             raise
-        return regression.unreadable_run(baseline, str(error))
+        return validation.gate.unreadable_run(baseline, str(error))
     _refuse_missing(run.manifest.plugins, baseline.methods)
     with progress_bar("plans", time_left=True) as progress:
-        return regression.compare(run, baseline, progress)
+        return validation.gate.compare(run, baseline, progress)
 
 
 def _refuse_missing(plugins: Mapping[str, str], methods: Collection[str]) -> None:
@@ -136,33 +136,33 @@ def _refuse_missing(plugins: Mapping[str, str], methods: Collection[str]) -> Non
         InputError: If one of them is missing. Its results cannot be planned again here, so they may be old ones.
     """
     registries = {each.noun: each for each in (registry.METHODS, obstacle_kind.OBSTACLES, TASK_ROWS)}
-    for added, package in plugins.items():
+    for added, package in runs.manifest.plugins_for(plugins, methods).items():
         noun, _, name = added.rpartition(" ")
-        is_judged = noun != registry.METHODS.noun or name in methods
-        if is_judged and noun in registries and name not in registries[noun].names():
-            raise InputError(f"the {added} was of {package} when it planned, which is not installed here: install it")
+        if noun in registries and name not in registries[noun].names():
+            raise InputError(f"the {added} came from the package {package}, which is not installed here: install it")
 
 
-def _comparison_record(verdict: regression.GateVerdict) -> dict:
+def _comparison_record(verdict: "regression.GateVerdict") -> dict:
     changed = [one._asdict() | {"target": one.target, "reason": one.reason} for one in verdict.changed]
     changed = [one | {"was": one["was"]._asdict(), "now": one["now"]._asdict()} for one in changed]
     rows = [row._asdict() for row in verdict.rows]
-    origins = {"baseline": verdict.baseline._asdict(), "run": [one._asdict() for one in verdict.run]}
+    baseline, *run = (one._asdict() | {"plugins": {**one.plugins}} for one in (verdict.baseline, *verdict.run))
+    origins = {"baseline": baseline, "run": run}
     checks = [check._asdict() for check in verdict.checks]
     now = origins | {"allow": verdict.allow.model_dump(), "rows": rows, "checks": checks, "changed": changed}
     return verdict._asdict() | now
 
 
-def _print_comparison(verdict: regression.GateVerdict) -> None:
+def _print_comparison(verdict: "regression.GateVerdict") -> None:
     console = stdout()
     console.print(Text(verdict.sweep, style="bold"))
-    for name, origin in gates.named_origins(verdict):
+    for name, origin in report.gate.named_origins(verdict):
         first, *others = textwrap.wrap(str(origin), max(LEAST_TEXT, width() - INDENT))
         console.print(Text.assemble((f"{name:<{INDENT}}", "cyan"), first))
         for line in others:
             console.print(" " * INDENT + line)
     console.print()
-    for table in gates.verdict_tables(verdict):
+    for table in report.gate.verdict_tables(verdict):
         print_table(console, table)
         console.print()
     for row in verdict.rows:
@@ -171,7 +171,7 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:
-        console.print(f"and {labels.counted(more, 'scenario')} more that changed")
+        console.print(f"and {runs.labels.counted(more, 'scenario')} more that changed")
     if verdict.elsewhere:
         console.print(Text("Device, versions or XLA_FLAGS differ from the baseline's: allow.elsewhere applies.", "dim"))
     for line in verdict.notes:
@@ -181,10 +181,10 @@ def _print_comparison(verdict: regression.GateVerdict) -> None:
     for line in verdict.failures[:LISTED]:
         console.print(Text.assemble(("failed  ", "bold red"), line))
     if (more := len(verdict.failures) - LISTED) > 0:
-        console.print(f"and {labels.counted(more, 'failure')} more")
+        console.print(f"and {runs.labels.counted(more, 'failure')} more")
     console.print(Text("passed", "bold green") if verdict.passed else Text("FAILED", "bold red"))
 
 
-def _describe(changed: regression.ChangedOutcome) -> Text:
-    where, rest = str(changed).split(": first", 1)
-    return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), f": first{rest}")
+def _describe(changed: "regression.ChangedOutcome") -> Text:
+    where, sign, rest = str(changed).partition(": the first")
+    return Text.assemble((where, "red" if changed.worse else "green" if changed.better else "dim"), sign + rest)

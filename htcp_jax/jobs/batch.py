@@ -89,7 +89,12 @@ class _Begin(NamedTuple):
 
 
 def batch_of(
-    name: str, config: PlanConfig, robot: Robot, points: Sequence[ScenarioPoint], alone: bool = False
+    name: str,
+    config: PlanConfig,
+    robot: Robot,
+    points: Sequence[ScenarioPoint],
+    alone: bool = False,
+    remedy: str = "",
 ) -> Batch:
     """Build the scenarios of a sweep with their planner inputs.
 
@@ -99,12 +104,13 @@ def batch_of(
         robot: Its robot.
         points: The scenarios.
         alone: True if all scenarios use the random keys of number 0.
+        remedy: Text to append to the message on a start outside the joint limits.
 
     Raises:
         InputError: If a start is outside the joint limits, or if the robots have different joints. The message names
             the scenario.
     """
-    builder = _Builder(name, config, robot)
+    builder = _Builder(name, config, robot, remedy)
     shared = [builder.shared(point) for point in points]
     begins = [builder.begin(point, own.inputs.robot) for point, own in zip(points, shared, strict=True)]
     groups: dict[tuple, list[int]] = {}
@@ -162,9 +168,9 @@ class _Builder:
         cells: The distinct planner inputs, by number.
     """
 
-    def __init__(self, name: str, config: PlanConfig, robot: Robot):
+    def __init__(self, name: str, config: PlanConfig, robot: Robot, remedy: str):
         self.cells: dict[int, PlannerInputs] = {}
-        self._name, self._robot, own = name, robot, robot_key(config)
+        self._name, self._robot, self._remedy, own = name, robot, remedy, robot_key(config)
         self._robots = cache(lambda *key: robot if key == own else robot_of(*key))
         self._workpieces = cache(lambda part, *key: workpiece_of(part, self._robots(*key)))
         self._obstacles: dict[tuple[tuple, tuple], Obstacles] = {}
@@ -185,7 +191,7 @@ class _Builder:
         about = id(robot), job.robot.tool_extension_m, job.start_rad, job.home_rad, id(job.task)
         if about not in self._begins:
             check_start(job, robot, f"{self._name}: scenario {point.number}")
-            with _naming(point):
+            with _naming(point, self._remedy):
                 x_start, x_home = start_and_home(robot, job.start, job.home_rad)
                 self._begins[about] = _Begin(x_start, x_home, follower_at(job, robot, x_start))
         return self._begins[about]
@@ -247,12 +253,12 @@ def _joints_of(robot: Robot) -> str:
 
 
 @contextmanager
-def _naming(point: ScenarioPoint) -> Iterator[None]:
-    """Put the scenario's number in front of the message of an `InputError`."""
+def _naming(point: ScenarioPoint, remedy: str = "") -> Iterator[None]:
+    """Put the scenario's number in front of the message of an `InputError`, and a remedy after it."""
     try:
         yield
     except InputError as error:
-        raise InputError(f"scenario {point.number}: {error}") from None
+        raise InputError(f"scenario {point.number}: {error}{remedy}") from None
 
 
 def _check_alike(own: _Shared, first: _Shared) -> None:

@@ -102,7 +102,10 @@ class Sweep:
             InputError: If a start is outside the joint limits, or if the robots have different joints. The message
                 names the scenario.
         """
-        return batch_of(self.name, self.config, self.robot, self.points(limit, numbers), self.alone)
+        columns = (column for group in self.groups for axis in group.axes for column in axis)
+        drawn = any(column.distribution and column.parameter.key in ("start_rad", "home_rad") for column in columns)
+        remedy = "; its values are drawn: choose a smaller SIGMA, or uniform within the limits" if drawn else ""
+        return batch_of(self.name, self.config, self.robot, self.points(limit, numbers), self.alone, remedy)
 
 
 def load_sweep(

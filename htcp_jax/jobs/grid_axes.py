@@ -79,12 +79,25 @@ class AxisParameter(NamedTuple):
     element: int | None  # index in the value, such as 2; None: the complete value
 
 
+class Distribution(NamedTuple):
+    """Distribution of a random axis, as written in the sweep file."""
+
+    name: str  # in DISTRIBUTIONS
+    numbers: tuple[float, float]
+    count: int  # number of values
+
+    def draw(self, seed: int, name: str) -> tuple[float, ...]:
+        """Return the values, which the seed and the parameter's name determine, so that other axes do not."""
+        return getattr(draws, self.name)(seed, name, *map(float, self.numbers), self.count)
+
+
 class AxisColumn(NamedTuple):
     """One parameter of an axis, with its values."""
 
     parameter: AxisParameter
     relative: bool  # True if the values are added to the configuration's value
     values: tuple[Any, ...]
+    distribution: Distribution | None = None  # from which the values are drawn; not part of a sweep's identity
 
 
 GridAxis = tuple[AxisColumn, ...]  # parameters that vary jointly, with equal numbers of values
@@ -286,6 +299,16 @@ def group_record(group: Group, stated: Collection[str]) -> dict[str, Any]:
     return {"name": group.name, "axes": axes, **known}
 
 
+def drawn_axes(group: Group) -> list[dict[str, Any]]:
+    """Return the distributions of a grid's random axes, as in a sweep file, for `Manifest.drawn`."""
+    return [
+        {"group": group.name, "parameter": column.parameter.name, "relative": column.relative}
+        | {given.name: given.numbers, "count": given.count}
+        for column in itertools.chain.from_iterable(group.axes)
+        if (given := column.distribution)
+    ]
+
+
 def from_record(record: Mapping[str, Any], joints: Sequence[str]) -> Group:
     """Return the grid that a `group_record` describes; unknown entries of the record are ignored.
 
@@ -343,12 +366,15 @@ def _read_column(
     relative = isinstance(value, dict) and list(value) == ["offsets"]
     if isinstance(value, dict) and list(value) in (["offsets"], ["values"]):
         (value,) = value.values()
+    distribution = None
     if isinstance(value, dict) and value.keys() & DISTRIBUTIONS.keys():
-        value = _drawn(f"{where}: {key}", parameter, value, seed)
+        distribution = _distribution(f"{where}: {key}", parameter, value)
+        value = distribution.draw(seed, parameter.name)
     if not isinstance(value, list | tuple):
         raise InputError(
             f"{where}: {key} needs a list of values, {{values: [...]}}, {{offsets: [...]}}, "
-            "{uniform: [LOW, HIGH], count: N} or {normal: [MEAN, SIGMA], count: N}"
+            "{uniform: [LOW, HIGH], count: N}, {normal: [MEAN, SIGMA], count: N}, {offsets: {uniform: ...}} or "
+            "{offsets: {normal: ...}}"
         )
     if not value:
         raise InputError(f"{where}: {key} has no values")
@@ -357,17 +383,16 @@ def _read_column(
     words = FILE_KEYS.get(parameter.key)
     if words is not None:  # file names are relative to the sweep file's folder
         value = [item if item in words else str(folder / item) for item in value]
-    return AxisColumn(parameter, relative, tuple(map(_hashable, value)))
+    return AxisColumn(parameter, relative, tuple(map(_hashable, value)), distribution)
 
 
-def _drawn(where: str, parameter: AxisParameter, given: Mapping[str, Any], seed: int) -> tuple[float, ...]:
-    """Return the values of a random axis.
+def _distribution(where: str, parameter: AxisParameter, given: Mapping[str, Any]) -> Distribution:
+    """Return the distribution of a random axis.
 
     Args:
         where: Name of the parameter, for messages.
-        parameter: The parameter. Its name determines the draw, so that other axes do not change it.
+        parameter: The parameter.
         given: The distribution with two numbers, and the number of values.
-        seed: Seed of the draw.
 
     Raises:
         InputError: If the distribution is invalid, or if the parameter does not take numbers that may have decimals.
@@ -388,7 +413,7 @@ def _drawn(where: str, parameter: AxisParameter, given: Mapping[str, Any], seed:
         raise InputError(f"{where}: {what} in {name}: {given[name]!r}")
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST:
         raise InputError(f"{where}: count is {count!r}; valid: 1 to {MOST:,}")
-    return getattr(draws, name)(seed, parameter.name, float(pair[0]), float(pair[1]), count)
+    return Distribution(name, (pair[0], pair[1]), count)
 
 
 def _is_number(value: Any) -> bool:
@@ -400,10 +425,13 @@ def _unknown(key: str, known: Collection[str]) -> str:
         return f"{key} cannot vary within a sweep; valid: any other key of the job, {', '.join(PARAMETERS)}"
     if key in LISTS:
         return f"{key} is a list, which cannot vary; write one job file per list, and sweep each with --config"
+    if key.removeprefix("start_rad.").isdecimal():
+        joints = sum(name.removeprefix("start_rad.").isdecimal() for name in known)
+        return f"unknown parameter {key}; joints are counted from 1; valid: start_rad.1 to start_rad.{joints}"
     close = difflib.get_close_matches(key, known, n=2, cutoff=0.6)
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     others = f"{', '.join(NO_AXIS[:-1])} and {NO_AXIS[-1]}"
-    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}; a joint is start_rad.3"
+    return f"unknown parameter {key}; {hint}valid: any key of the configuration but {others}; start_rad.3 is joint 3"
 
 
 def _check_value(where: str, parameter: AxisParameter, item: Any, relative: bool) -> None:

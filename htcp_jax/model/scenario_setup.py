@@ -294,7 +294,7 @@ def _start_configuration(robot: Robot, positions: Sequence[float] | Anywhere, wh
         raise InputError(f"{what} has {x.size} joint positions, the robot {robot.name} has {robot.counted_joints}")
     for name, value, low, high in zip(robot.joint_names, x, lower, upper, strict=True):
         if not low <= value <= high:
-            raise InputError(f"{what}: joint {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
+            raise InputError(f"{what}: {name} at {value:.6g} is outside its limits {low:.6g} to {high:.6g}")
     return x
 
 

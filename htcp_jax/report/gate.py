@@ -79,6 +79,8 @@ def _properties(verdict: gate.GateVerdict) -> Iterator[tuple[str, str]]:
         for package, version in origin.versions.items():
             yield f"{name}.{package}", version or "unknown"
         yield f"{name}.XLA_FLAGS", origin.xla_flags or "unknown"
+        for added, package in origin.plugins.items():
+            yield f"{name}.{added}", package
 
 
 def named_origins(verdict: gate.GateVerdict) -> list[tuple[str, gate.Origin]]:

@@ -176,6 +176,7 @@ def _assumed(plan: ReportedPlan, made: PlanProgram | None) -> list[Block]:
 def _what_was_run(made_by: Mapping[str, Any]) -> list[Block]:
     versions = ", ".join(f"{name} {version}" for name, version in (made_by.get("versions") or {}).items() if version)
     facts = {"method": str(made_by["method"]), "versions": versions}
+    facts |= made_by.get("plugins", {})
     facts |= {key: str(made_by[key]) for key in PROVENANCE if made_by.get(key)}
     facts |= {f"SHA-256 of {Path(name).name}": str(known)[:16] for name, known in made_by["files"].items()}
     return [fact_table("what_was_run", facts)]

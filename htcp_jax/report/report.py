@@ -20,7 +20,7 @@ from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.part_charts import charts_of
 from htcp_jax.report.tables import configuration_table
 from htcp_jax.report.validation import validated
-from htcp_jax.runs import Run, columns, open_run
+from htcp_jax.runs import Run, columns, labels, open_run
 from htcp_jax.runs import tables as run_tables
 from htcp_jax.system import files
 
@@ -194,6 +194,10 @@ def _provenance(run: Run) -> str:
         facts.append(
             f"planned on {entry.get('device', '?')} from commit {str(entry.get('commit'))[:12]} with {versions}"
         )
+    facts += [f"{added} from {package}" for added, package in manifest.plugins.items()]
+    facts += [axis.text(manifest.seed) for axis in manifest.drawn]
+    facts += [f"on {labels.counted(n, 'core')}" for n in sorted({each.cores for each in manifest.shards if each.cores})]
+    facts += [f"started {manifest.started}"] if manifest.started else []
     return "; ".join(facts) + "."
 
 

@@ -99,6 +99,9 @@ def plain_lines(found: dict[str, Any], is_sweep: bool) -> dict[str, str]:
         scenario, target = check[key]
         return f"target {target}" + (f" of scenario {scenario} by {check['method']}" if is_sweep else "")
 
+    def most(check: dict, key: str) -> str:
+        return f" ({place(check, key)})" if check.get(key) else ""
+
     facts, checks = {}, [{"method": method, **check} for method, check in found["methods"].items()]
     if at := _worst(checks, "clearance_min_mm", min):
         facts["minimum clearance"] = f"{at['clearance_min_mm']:.3g} mm, at {place(at, 'clearance_min_at')}"
@@ -106,9 +109,10 @@ def plain_lines(found: dict[str, Any], is_sweep: bool) -> dict[str, str]:
             near = f"{between['clearance_between_min_mm']:.3g} mm, near {place(between, 'clearance_between_min_at')}"
             facts["minimum clearance"] += f"; between the targets {near}"
     if at := _worst(checks, "tcp_error_max_mm", max):
-        facts["tool's tip"] = f"within {at['tcp_error_max_mm']:.3g} mm of each target"
+        facts["tool's tip"] = f"within {at['tcp_error_max_mm']:.3g} mm of each target{most(at, 'tcp_error_max_at')}"
         if line := _worst(checks, "line_deviation_max_mm", max):
-            facts["tool's tip"] += f", and within {line['line_deviation_max_mm']:.3g} mm of the line between them"
+            off = f"{line['line_deviation_max_mm']:.3g} mm of the line between them"
+            facts["tool's tip"] += f", and, on proven segments, within {off}{most(line, 'line_deviation_max_at')}"
     rows = [row | {"method": check["method"]} for check in checks for row in check.get("rows", ())]
     if rows := [row for row in rows if row["unit"] != "mm"] or rows:
         row = max(rows, key=lambda each: each["off"] / each["most"] if each["most"] else each["off"])
@@ -170,7 +174,7 @@ def notes(found: dict[str, Any]) -> list[str]:
             "Joint paths are the straight joint paths between tracked targets, and from the start to the first, with "
             f"{found['between']} or more samples each, at most {STEP_RAD:g} rad apart. Their collisions refute no "
             'target; "blocked" counts the paths that the planner itself found to collide. Path deviation: the TCP\'s '
-            "distance from the straight line between its targets."
+            "distance from the straight line between its targets, on segments with a proven motion."
         )
     if any(check.get("speed_ratio_max") is not None for check in found["methods"].values()):
         lines.append(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from htcp_jax.device import tables
+from htcp_jax.device import devices, tables
 from htcp_jax.jobs import Batch, PlannerInputs
 from htcp_jax.model import Scenario
 from htcp_jax.model import scenario as scenario_functions
@@ -19,11 +19,12 @@ from htcp_jax.runs.shards import Shard, ShardSizes
 
 
 class PlannedShard(NamedTuple):
-    """The plans of a shard, and their provenance from `provenance.planned_by`."""
+    """The plans of a shard, their provenance from `provenance.planned_by`, and the number of CPU cores."""
 
     shard: Shard
     plans: Plans
     by: dict
+    cores: int
 
 
 def plan_here(
@@ -46,7 +47,7 @@ def plan_here(
         plans = plan_cells(batch.cells, *scenarios_of(batch, shard.rows), shard.method, execution, report)
         execution = replace(execution, warm_up=())  # all are compiled
         sizes.note(shard, plans.run_s)
-        yield PlannedShard(shard, plans, by)
+        yield PlannedShard(shard, plans, by, devices.cores())
 
 
 def scenarios_of(batch: Batch, rows: Sequence[int]) -> tuple[Int[np.ndarray, "S"], Scenario]:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -15,10 +15,12 @@ from htcp_jax.spec import NAME, strict_model
 MANIFEST, FORMAT = "manifest.json", 1
 LISTED = 12  # maximum number of scenarios that a text lists
 TABLES = ("targets", "scenarios")
+METHOD_NOUN = "method"  # of the keys of `Manifest.plugins` that name methods
 
 MethodName = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]  # it is part of file names
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Scenarios = Annotated[int, Field(ge=0, le=grid_axes.MOST)]
+Pair = tuple[float, float]
 
 
 class FileRecord(strict_model.FileSection):
@@ -41,6 +43,8 @@ class ShardRecord(strict_model.FileSection):
     run_s: float  # planning time without compilation
     cpu_s: Annotated[float | None, Field(exclude_if=lambda value: value is None)] = None  # processor time, see `Plans`
     planned_by: Count  # index in the manifest's list `planned_by`
+    # Number of CPU cores that the planning process and those that it started could use; None: unknown.
+    cores: Annotated[int | None, Field(exclude_if=lambda value: value is None)] = None
     targets: FileRecord
     scenarios: FileRecord
 
@@ -54,6 +58,25 @@ class ShardRecord(strict_model.FileSection):
     def scenario_numbers(self) -> Sequence[int]:
         """Numbers of the shard's scenarios, in order."""
         return range(self.first, self.last + 1) if self.numbers is None else self.numbers
+
+
+class DrawnAxis(strict_model.FileSection):
+    """Distribution from which the manifest's seed draws the values of a random axis; the values are in its grid."""
+
+    group: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
+    parameter: str  # such as start_rad.joint3
+    relative: bool  # True if the values are offsets
+    uniform: Annotated[Pair | None, Field(exclude_if=lambda value: value is None)] = None  # lower and upper bound
+    normal: Annotated[Pair | None, Field(exclude_if=lambda value: value is None)] = None  # mean, standard deviation
+    count: Scenarios  # number of values
+
+    def text(self, seed: int) -> str:
+        """The axis as text, such as "start_rad.joint3: uniform in [-0.1, 0.1], 200 values, seed 11"."""
+        name = self.parameter if self.group is None else f"{self.group}, {self.parameter}"
+        what = "offsets " if self.relative else ""
+        a, b = self.uniform or self.normal or (0.0, 0.0)
+        how = f"uniform in [{a:g}, {b:g}]" if self.uniform else f"normal, mean {a:g}, standard deviation {b:g}"
+        return f"{name}: {what}{how}, {self.count:,} values, seed {seed}"
 
 
 class Seconds(strict_model.FileSection):
@@ -77,12 +100,16 @@ class Manifest(strict_model.FileSection):
     """Content of manifest.json.
 
     The fields config, grid, dtype and files identify the run. `writer` adds shards only to the run with this identity.
+    Facts that differ between equal runs are in this file only: the date, the times and the number of cores.
     """
 
     format: Literal[1] = FORMAT
     name: str  # name of the sweep
+    # Date and time of the run's first start, in UTC (ISO 8601); None: unknown, as in runs of older versions.
+    started: Annotated[str | None, Field(exclude_if=lambda value: value is None)] = None
     config: dict[str, Any]  # a PlanConfig; file names are absolute
     grid: tuple[dict[str, Any], ...]
+    drawn: Annotated[tuple[DrawnAxis, ...], Field(exclude_if=lambda value: not value)] = ()  # random axes of the grid
     dtype: str
     files: dict[str, str]  # SHA-256 of the files that config and grid name
     config_hash: str
@@ -144,6 +171,12 @@ class Manifest(strict_model.FileSection):
     def rows(self) -> int:
         """Number of rows of arrays in which row s is scenario s, up to the last scenario to plan."""
         return self.numbers[-1] + 1 if self.count else 0
+
+
+def plugins_for(plugins: Mapping[str, str], methods: Collection[str]) -> dict[str, str]:
+    """Return the entries of `Manifest.plugins` for kinds and for some methods, without those of other methods."""
+    named = {added: added.rpartition(" ") for added in plugins}
+    return {added: plugins[added] for added, (noun, _, name) in named.items() if noun != METHOD_NOUN or name in methods}
 
 
 class Span(NamedTuple):

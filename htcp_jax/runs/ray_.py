@@ -165,7 +165,7 @@ def _plan(
             for ref in done:
                 shard, (plans, by) = running.pop(ref), ray.get(ref)
                 sizes.note(shard, plans.run_s)
-                yield PlannedShard(shard, plans, by)
+                yield PlannedShard(shard, plans, by, max(1, int(config.ray.num_cpus)))
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None  # the exception of the planner on the worker
     except (ray.exceptions.RayError, OSError) as error:  # OSError: Ray writes to a dead node

@@ -84,7 +84,8 @@ class Run:
         """Return one of the run's tables as a pandas frame.
 
         Args:
-            table: "scenarios", "targets", "shards" or "times".
+            table: "scenarios", "targets", "shards" or "times". The last one has each scenario's share of its shard's
+                times, by attempted targets; they are measurements only if a shard has one scenario.
             *methods: Names of methods; without names, all methods.
 
         Raises:

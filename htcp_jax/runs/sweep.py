@@ -13,6 +13,7 @@ import contextlib
 import shutil
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from htcp_jax.runs import writer
 from htcp_jax.runs.identity import config_hash, identity
 from htcp_jax.runs.input_files import recorded_inputs
 from htcp_jax.runs.local import plan_here
-from htcp_jax.runs.manifest import MANIFEST, Manifest
+from htcp_jax.runs.manifest import MANIFEST, DrawnAxis, Manifest
 from htcp_jax.runs.plan_folder import SUMMARY
 from htcp_jax.runs.provenance import code_of, code_of_kinds, planned_by, plugins_of, plugins_of_kinds
 from htcp_jax.runs.run_folder import Run
@@ -180,7 +181,8 @@ def keep_plans(spec: Sweep, plans: Mapping[str, Plans], out: str | Path, shard_s
         missing = [Shard(method, rows) for method in plans for rows in run.missing(method)]
         for method, rows in ShardSizes(shard_scenarios, shard_scenarios).cut(missing):
             own = plans[method].rows(slice(rows[0], rows[-1] + 1))
-            run = writer.add(run, method, rows, tables(batch, method, rows, own), own, planned_by())
+            rows_of = tables(batch, method, rows, own)
+            run = writer.add(run, method, rows, rows_of, own, planned_by(), devices.cores())
     return run
 
 
@@ -229,8 +231,10 @@ def _manifest(
     dtype = str(batch.scenarios.targets.dtype)
     return Manifest(
         name=spec.name,
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
         config=config,
         grid=tuple(grid),
+        drawn=tuple(DrawnAxis(**axis) for group in spec.groups for axis in grid_axes.drawn_axes(group)),
         dtype=dtype,
         files=files,
         config_hash=config_hash(identity(config, grid, dtype, files)),

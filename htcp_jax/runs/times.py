@@ -7,15 +7,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from htcp_jax.runs.manifest import Manifest
+from htcp_jax.runs.manifest import METHOD_NOUN, Manifest
 
-METHOD_NOUN = "method"  # of the keys of `Manifest.plugins` that name methods
 SEED = "settings.seed"  # column of the table of scenarios, if the seed varies
 SECONDS = "run_s", "cpu_s"
 SHARDS = pa.schema(
     [
         ("method", pa.string()),
-        *((name, pa.int64()) for name in ("first", "last", "scenarios", "targets", "tracked")),
+        *((name, pa.int64()) for name in ("first", "last", "scenarios", "targets", "tracked", "cores")),
         *((name, pa.float64()) for name in (*SECONDS, "compile_s")),
         *((name, pa.string()) for name in ("device", "commit", "package")),
     ]
@@ -36,14 +35,15 @@ def shard_table(manifest: Manifest) -> pa.Table:
 
     `run_s` is the wall time of planning, without `compile_s`, the wall time of compilation. `cpu_s` is the processor
     time of all threads and processes, without that of compilation before planning; null in runs of older versions [s].
-    `package` is the installed package and version of a method that is not built in.
+    `cores` is the number of CPU cores that planned, null in runs of older versions. `package` is the installed package
+    and version of a method that is not built in.
     """
     rows = []
     for shard in manifest.shards:
         by = manifest.planned_by[shard.planned_by]
         rows.append(
             {
-                **shard.model_dump(include={"method", "first", "last", "tracked", *SECONDS, "compile_s"}),
+                **shard.model_dump(include={"method", "first", "last", "tracked", "cores", *SECONDS, "compile_s"}),
                 "scenarios": shard.scenarios.rows,
                 "targets": shard.targets.rows,
                 **{name: by.get(name) for name in ("device", "commit")},

@@ -23,6 +23,7 @@ from htcp_jax.runs.manifest import (
     Seconds,
     ShardRecord,
     is_shard_name,
+    plugins_for,
     shard_name,
 )
 from htcp_jax.runs.provenance import planned_by
@@ -56,7 +57,7 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     _refuse_other(old, requested)
     _refuse_other_code(old, requested)
     _warn_of_other_software(old)
-    kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by")}
+    kept = {name: getattr(old.manifest, name) for name in ("shards", "planned_by", "started")}
     methods = tuple(dict.fromkeys((*old.methods, *requested.methods)))
     kept |= {"methods": methods, "code": old.manifest.code | requested.code}
     kept |= {"plugins": old.manifest.plugins | requested.plugins}
@@ -70,7 +71,15 @@ def begin(folder: Path, requested: Manifest, keep: Any = None) -> Run:
     return _write_manifest(_with_shards(run, shards))
 
 
-def add(run: Run, method: str, scenarios: Sequence[int], tables: dict[str, pa.Table], plans: Plans, by: dict) -> Run:
+def add(
+    run: Run,
+    method: str,
+    scenarios: Sequence[int],
+    tables: dict[str, pa.Table],
+    plans: Plans,
+    by: dict,
+    cores: int | None = None,
+) -> Run:
     """Write a shard, and return the run that includes it.
 
     Args:
@@ -80,6 +89,7 @@ def add(run: Run, method: str, scenarios: Sequence[int], tables: dict[str, pa.Ta
         tables: Rows of the shard, by name of the table.
         plans: Plans of the shard.
         by: Provenance of the shard, from `provenance.planned_by`.
+        cores: Number of CPU cores that planned the shard; None: unknown.
 
     Raises:
         InputError: If the shard cannot be written; the run on disk is then unchanged.
@@ -88,13 +98,14 @@ def add(run: Run, method: str, scenarios: Sequence[int], tables: dict[str, pa.Ta
     numbers = tuple(manifest.numbers[row] for row in scenarios)
     first, last = numbers[0], numbers[-1]
     name, gaps = shard_name(method, first, last), last - first >= len(numbers)
-    made = {"run": manifest.name, **by}
+    used = plugins_for(manifest.plugins, [method])
+    made = {"run": manifest.name, **by, **({"plugins": used} if used else {})}
     rows = {table: described(own, table, manifest.joints, made) for table, own in tables.items()}
     files = {table: _write_parquet(run.folder, table, name, own) for table, own in rows.items()}
     planned_by = manifest.planned_by if by in manifest.planned_by else (*manifest.planned_by, by)
     tracked, known = int(plans.tracked.sum()), None if math.isnan(plans.cpu_s) else plans.cpu_s
     shard = ShardRecord(
-        method=method, first=first, last=last, numbers=numbers if gaps else None, tracked=tracked,
+        method=method, first=first, last=last, numbers=numbers if gaps else None, tracked=tracked, cores=cores,
         compile_s=plans.compile_s, run_s=plans.run_s, cpu_s=known, planned_by=planned_by.index(by), **files,
     )  # fmt: skip
     run = Run(run.folder, manifest.model_copy(update={"planned_by": planned_by}), run._keep)

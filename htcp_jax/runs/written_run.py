@@ -112,10 +112,10 @@ class WrittenRun:
         self._tracked[method] += tracked
 
     def _write(self, planned: PlannedShard) -> FinishedShard:
-        (method, rows), plans, by = planned
+        (method, rows), plans, by, cores = planned
         with devices.on(self._device):
             found = tables(self._batch, method, rows, plans)
-        self.run = writer.add(self.run, method, rows, found, plans, by)
+        self.run = writer.add(self.run, method, rows, found, plans, by, cores)
         numbers = self.run.manifest.numbers
         span = Span(numbers[rows[0]], numbers[rows[-1]])
         return FinishedShard(method, span, plans, found["scenarios"]["margin_m"].to_numpy())

@@ -54,7 +54,9 @@ class Registry:
         if fault := self._why_not(value):
             raise InputError(f"cannot register {value!r}: {fault}")
         if self._own.get(value.name) is not value and value.name in self.names() and not self._replaces(value):
-            raise InputError(f"cannot register {value.name!r}: {self._a_noun} with this name exists")
+            raise InputError(
+                f"cannot register {value.name!r}: {self._a_noun} with this name exists: {self._origin(value.name)}"
+            )
         self._own[value.name] = value
         return value
 
@@ -138,6 +140,15 @@ class Registry:
             else:
                 self._left_out(point, f"one of {_package(first)}")
         return found
+
+    def _origin(self, name: str) -> str:
+        """Return where an extension comes from, for messages."""
+        if name in self._own:
+            return f"{self._own[name]!r}, registered in this process"
+        if name not in self._entry_points:
+            return "it is built in"
+        point = self._entry_points[name]
+        return f"the entry point {point.value} of the installed package {self.distribution(name)}"
 
     def _left_out(self, point: EntryPoint, there: str) -> None:
         line = f"{self._called(point)} is ignored, because {there} has the same name"

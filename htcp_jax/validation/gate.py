@@ -17,11 +17,12 @@ A method fails if
 Each of these conditions is a `GateCheck`. Improvements pass and are listed, so that the baseline can be updated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from htcp_jax.errors import InputError
-from htcp_jax.runs import Run, identity, summary
+from htcp_jax.runs import Run, identity, manifest, summary
 from htcp_jax.runs import labels as run_labels
 from htcp_jax.status import Status
 from htcp_jax.validation.baseline import (
@@ -45,16 +46,18 @@ SCENARIOS, TRACKED, EXECUTABLE, ENDS, SHARE, MUJOCO, TIMES, TCP_ERROR, CLEARANCE
 
 
 class Origin(NamedTuple):
-    """Commit, device, package versions and XLA's flags with which a run was planned."""
+    """Commit, device, package versions, XLA's flags and plugins with which a run was planned."""
 
     commit: str | None
     device: str | None
     versions: dict[str, str | None]
     xla_flags: str | None = None  # None: unknown
+    plugins: Mapping[str, str] = MappingProxyType({})  # distribution and version, as in `Manifest.plugins`
 
     def __str__(self) -> str:
         commit, sign, changes = (self.commit or "unknown").partition("+")
         known = [f"{name} {version}" for name, version in self.versions.items() if version]
+        known += [f"{added} from {package}" for added, package in self.plugins.items()]
         return f"{', '.join([f'commit {commit[:12]}{sign}{changes}', *known])}; {self.device}"
 
 
@@ -93,13 +96,14 @@ class ChangedOutcome(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Message on the status of `target` in the run, or in the baseline if the run tracks more targets."""
+        """Message on the status of `target` in the run, or in the baseline if the run tracks more targets there."""
         status = self.was.status if self.better else self.now.status
         return Status[status].message if status != COMPLETE else COMPLETE
 
     def __str__(self) -> str:
-        where = f"{self.method}, scenario {self.label}: first at target {self.target}"
-        return f"{where}, {self.was.tracked} tracked in the baseline, {self.now.tracked} now; {self.reason}"
+        where = f"{self.method}, scenario {self.label}: the first difference is at target {self.target}"
+        counts = f"{self.was.tracked} tracked in the baseline, {self.now.tracked} now"
+        return f"{where}; {counts}; {'the baseline' if self.better else 'the run'} ended there: {self.reason}"
 
 
 class GateRow(NamedTuple):
@@ -181,10 +185,11 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
         left = "numbers of executable targets and of held feeds, and reachability, are not compared"
         notes = [f"the run is {run.manifest.part}; {left}"]
     used = sorted({shard.planned_by for shard in run.manifest.shards})
-    verdict = _compare(baseline, found, tuple(_origin(run.manifest.planned_by[k]) for k in used))
+    plugins = manifest.plugins_for(run.manifest.plugins, baseline.methods)
+    verdict = _compare(baseline, found, tuple(_origin(run.manifest.planned_by[k], plugins) for k in used))
     labels = run.labels() if verdict.changed else {}
     changed = (one._replace(label=run_labels.named_scenario(one.scenario, labels)) for one in verdict.changed)
-    notes += _other_software(baseline, verdict.run, run.manifest.plugins)
+    notes += _other_software(verdict.baseline, verdict.run, plugins)
     return verdict._replace(changed=tuple(changed), notes=tuple(notes))
 
 
@@ -194,7 +199,8 @@ def unreadable_run(baseline: Baseline, reason: str) -> GateVerdict:
 
 
 def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> GateVerdict:
-    was = Origin(baseline.commit, baseline.device, baseline.versions, baseline.xla_flags)
+    plugins = manifest.plugins_for(baseline.plugins, baseline.methods)
+    was = Origin(baseline.commit, baseline.device, baseline.versions, baseline.xla_flags, plugins)
     elsewhere = any(_machine(one) != _machine(was) or _other_flags(was, one) for one in run)
     allow = baseline.allowance(elsewhere)
     checks, rows, changed = [GateCheck(RUN, "files", found.problems)], [], []
@@ -218,9 +224,9 @@ def _compare(baseline: Baseline, found: RunSummary, run: tuple[Origin, ...]) -> 
     return GateVerdict(not failures, baseline.sweep, was, run, elsewhere, allow, *groups)
 
 
-def _origin(planned_by: dict) -> Origin:
+def _origin(planned_by: dict, plugins: Mapping[str, str]) -> Origin:
     commit, device, flags = (planned_by.get(name) for name in ("commit", "device", "xla_flags"))
-    return Origin(commit, device, planned_by.get("versions") or {}, flags)
+    return Origin(commit, device, planned_by.get("versions") or {}, flags, plugins)
 
 
 def _machine(origin: Origin) -> tuple:
@@ -231,14 +237,13 @@ def _other_flags(was: Origin, now: Origin) -> bool:
     return None not in (was.xla_flags, now.xla_flags) and was.xla_flags != now.xla_flags
 
 
-def _other_software(baseline: Baseline, run: tuple[Origin, ...], plugins: dict[str, str]) -> tuple[str, ...]:
+def _other_software(was: Origin, run: tuple[Origin, ...], plugins: Mapping[str, str]) -> tuple[str, ...]:
     """Return sentences on XLA_FLAGS and on packages of methods and kinds that differ from the baseline's."""
-    was = Origin(baseline.commit, baseline.device, baseline.versions, baseline.xla_flags)
     flags = dict.fromkeys(one.xla_flags for one in run if _other_flags(was, one))
     notes = [f"XLA_FLAGS was {was.xla_flags!r} in the baseline, now {own!r}" for own in flags]
-    names = [name for name in baseline.plugins | plugins if baseline.plugins.get(name) != plugins.get(name)]
-    versions = [(name, *(of.get(name, "unknown") for of in (baseline.plugins, plugins))) for name in names]
-    return *notes, *(f"the {name} was of {before} in the baseline, now of {now}" for name, before, now in versions)
+    names = [name for name in {**was.plugins, **plugins} if was.plugins.get(name) != plugins.get(name)]
+    versions = [(name, *(of.get(name, "an unknown package") for of in (was.plugins, plugins))) for name in names]
+    return *notes, *(f"the {name} came from {before} in the baseline, now from {now}" for name, before, now in versions)
 
 
 def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:

@@ -30,6 +30,7 @@ class MethodCheck(NamedTuple):
     checked: int  # number of tracked targets
     refuted: int
     tcp_error_max_mm: float | None  # largest distance from its target of the point that follows the path, or the TCP
+    tcp_error_max_at: TargetPlace | None
     clearance_min_mm: float | None
     clearance_min_at: TargetPlace | None
     clearance_less_cover_min_mm: float | None  # minimum clearance minus the mesh's covering radius; None: no mesh
@@ -41,7 +42,7 @@ class MethodCheck(NamedTuple):
     paths_blocked: int
     clearance_between_min_mm: float | None  # minimum along the joint paths, including their ends
     clearance_between_min_at: TargetPlace | None
-    line_deviation_max_mm: float | None  # largest distance of the TCP from the line between two targets
+    line_deviation_max_mm: float | None  # largest distance of the TCP from the line between two targets, where proven
     line_deviation_max_at: TargetPlace | None
     speed_ratio_max: float | None  # largest joint speed / limit, at `feed_mm_s`; None without limits
     speed_joint: str | None  # joint with this ratio

@@ -58,6 +58,7 @@ class TrackCheck(NamedTuple):
     target_off: Float[np.ndarray, "n"]
     refuted: list[Refutation]
     leads_to: Int[np.ndarray, "m"]  # target at the end of the segment
+    claimed: Bool[np.ndarray, "m"]  # segments that the plan states to be motions on the path, see `Track.claimed`
     touches: Bool[np.ndarray, "m"] | None
     clearance_between: (
         Float[np.ndarray, "m"] | None
@@ -151,6 +152,7 @@ def check(
         less_cover=at.less_cover(cover_m)[1:] if mesh else None,
         refuted=[Refutation(track.method, track.scenario, *each) for each in reasons],
         leads_to=paths.target,
+        claimed=track.claimed[paths.target],
         **between_rows,
         speed=speed,
         in_place=in_place,

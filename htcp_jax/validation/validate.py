@@ -216,11 +216,13 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
 
     clearance = all_of("clearance")
     clearance_min, clearance_at = _worst(np.argmin, clearance, targets)
+    tcp_error_max, tcp_error_at = _worst(np.argmax, all_of("tcp_error"), targets)
     between_min = between_at = deviation_max = deviation_at = None
     if checked_between:
         along = np.concatenate([clearance, all_of("clearance_between")])
         between_min, between_at = _worst(np.argmin, along, [*targets, *paths])
-        deviation_max, deviation_at = _worst(np.argmax, all_of("deviation"), paths)
+        proven = [place for place, is_claimed in zip(paths, all_of("claimed"), strict=True) if is_claimed]
+        deviation_max, deviation_at = _worst(np.argmax, all_of("deviation")[all_of("claimed")], proven)
     less_cover = None
     if any(one.less_cover is not None for one in checked):
         each = [one.clearance if one.less_cover is None else one.less_cover for one in checked]
@@ -230,7 +232,8 @@ def _sum_up(checked: Sequence[TrackCheck], joints: Sequence[str], feed_mm_s: flo
     return MethodCheck(
         checked=sum(one.tracked for one in checked),
         refuted=sum(len(one.refuted) for one in checked),
-        tcp_error_max_mm=_worst(np.argmax, all_of("tcp_error"), targets)[0],
+        tcp_error_max_mm=tcp_error_max,
+        tcp_error_max_at=tcp_error_at,
         clearance_min_mm=clearance_min,
         clearance_min_at=clearance_at,
         clearance_less_cover_min_mm=less_cover,

@@ -36,9 +36,15 @@ NEAR_M = 0.05  # distance in front of the plane within which the depth in the hu
 
 @cached_for_last(2)
 def make_obstacle(workpiece: Workpiece) -> Obstacles:
-    """Return a workpiece's obstacles, on the device: its points and, if it has one, its interior rule.
+    """Return a workpiece's obstacles, on the device. Those of the last two workpieces are cached for the next plan.
 
-    A workpiece without a cloud has no obstacles. The obstacles of the last two workpieces are cached for the next plan.
+    Args:
+        workpiece: The workpiece.
+
+    Returns:
+        A tuple of up to two obstacles. The first is the cloud of the workpiece's points. The second, if the workpiece
+        has a hull, is the `Interior` rule: no body may leave the hull below the plane at which the interior begins.
+        Functions such as `minimum_clearance` take the complete tuple. It is empty for a workpiece without a cloud.
     """
     if not len(workpiece.cloud):
         return ()

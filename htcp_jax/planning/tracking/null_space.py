@@ -114,7 +114,7 @@ def null_space_objective(
     obstacles: Obstacles,
     where: HasWorkpiecePose,
     x_ref: Joints,
-    w: Float[Array, "D"],
+    w: Float[Array, "N-3"],
     settings: Settings | Mapping[str, Any] | None = None,
 ) -> Scalar:
     """Return J2 of equation (11a): -D(x, O) + J1(x, x_ref) [m] at x = x_ref + alpha N(x_ref) w of (11c).
@@ -144,7 +144,7 @@ def null_space_objective(
         obstacles: The obstacles, for example from `make_obstacle`.
         where: A scenario, or any other object that is `HasWorkpiecePose`.
         x_ref: Configuration [rad or m].
-        w: Direction in the null space, D = N - 3 numbers.
+        w: Direction in the null space (N - 3,), a number for each column of N(x_ref).
         settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
             in the paper; and `include_proximal_bodies`. None, or a mapping: the defaults for all other settings, with
             `j1_weight` 0 and therefore J2 = -D, but the paper's Q, which weighs all joints by 1.
