@@ -12,11 +12,10 @@ from htcp_jax.report.charts.style import (
     colour_bar,
     heading,
     line_of,
-    map_height,
     name_lines,
     new_figure,
     outer_labels,
-    panels_by_method,
+    panels_with_maps,
     plain_axes,
 )
 from htcp_jax.report.charts.success import Axis, draw_map, place_values
@@ -66,15 +65,16 @@ def over_map(
         measure: The quantity.
         note: Text to append to the measure's note, below the title.
     """
-    side, note = map_height(len(values), 0.6, rows.values, columns.values), f"{measure.note} {note}".strip()
-    figure, panels = panels_by_method(len(values), side + 0.4, 1.3, measure.title, note)
+    note = f"{measure.note} {note}".strip()
+    figure, panels, most = panels_with_maps(len(values), 0.6, rows.values, columns.values, measure.title, note)
     scale = _colour_scale(values, measure)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
         image = draw_map(
             axes, own, scale, rows, columns, lambda _, value: (measure.form.format(value), {"fontsize": 7.5})
         )
         mean = own[np.isfinite(own)]
-        heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
+        text = f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed"
+        heading(axes, method, text, most)
     outer_labels(panels, len(values), columns.label, rows.label)
     ticks = () if measure.scale is None else [part * measure.scale[1] for part in (0, 0.25, 0.5, 0.75, 1)]
     colour_bar(figure, image, panels, measure.unit, ticks)
