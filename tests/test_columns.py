@@ -52,8 +52,8 @@ def test_units_follow_the_names_of_columns(column, unit):
         ("tracked", "tracked [targets]", "1,234"), ("step_ms", "time/target [ms]", "1234.00"),
         ("clearance_min_mm", "clearance [min mm]", "1.23e+03"), ("cycle_mean_s", "cycle time [mean s]", "1234.000"),
         ("tcp_distance_mean_mm", "TCP distance [mean mm]", "1.23e+03"),
-        ("tracked_percent", "targets tracked [%]", "1234.00"),
-        ("complete_percent", "scenarios complete [%]", "1234.00"),
+        ("tracked_percent", "targets [tracked %]", "1234.00"),
+        ("complete_percent", "scenarios [complete %]", "1234.00"),
         ("curvature_median_rad_m2", "curvature [median rad/m2]", "1,234"), ("reason", "reason", "1234"),
     ],
 )  # fmt: skip
