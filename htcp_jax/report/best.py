@@ -66,8 +66,14 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
     number = int(part.numbers[s])
     scenario = f"Scenario {number} by {method}"
     what, title = (f"{scenario}: {label}".removesuffix(": ") for label in (part.label(s), part.label(s, MOST_IN_TITLE)))
-    figure = part.scene.picture(number, method, "\n".join(textwrap.wrap(title, TITLE_LINE)))
+    figure = part.scene.picture(number, method, _wrapped(title))
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
     alt = f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm"
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
+
+
+def _wrapped(title: str) -> str:
+    """Return a title in lines of at most TITLE_LINE characters, broken after commas."""
+    parts = title.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+    return "\n".join(textwrap.wrap(parts, TITLE_LINE)).replace("\N{NO-BREAK SPACE}", " ")

@@ -31,20 +31,23 @@ class Measure(NamedTuple):
     scale: tuple[float, float] | None = None  # smallest and largest value of the colour scale; None: from the values
 
 
-def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
+def over_line(
+    values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure, joined: bool = True
+) -> Figure:
     """Draw values over an axis of a grid, one line per method.
 
     Args:
         values: Values by method, in the unit of `measure`; NaN if unknown.
         axis: The axis.
         measure: The quantity.
+        joined: False to draw points without lines, for random values of the axis.
     """
     figure = new_figure(4.2, measure.title, measure.note)
     axes = figure.subplots()
     at = place_values(axes, axis)
     for method, own in values.items():
         colour, style = line_of(method)
-        axes.plot(at, own, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
+        axes.plot(at, own, color=colour, linestyle=style if joined else "none", marker="o", markersize=4, linewidth=1.8)
     axes.set_xlabel(axis.label)
     axes.set_ylabel(f"{measure.title.lower()} [{measure.unit}]")
     known = {method: own[np.isfinite(own)] for method, own in values.items()}
