@@ -483,7 +483,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
 def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(folder, tmp_path, capsys):
     assert main(["report", str(folder / "poses"), "--out", str(tmp_path / "report")]) == 0
     output = capsys.readouterr()
-    assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95\n", output.out) and output.err == ""
+    assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +26\.53\n", output.out) and output.err == ""
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 9
     assert not re.search(r"<script|src=\"(?!data:)|href=\"(?!#)|url\(|@import", page)

@@ -25,7 +25,7 @@ def success_rates(
     value. A vertical line is the 95 % confidence interval of the bin's rate (Wilson).
 
     Args:
-        done: 1 for scenarios that are executable to the last target, 0 for others, NaN if not planned, by method.
+        done: 1 for scenarios that are executable to the last target, 0 for others, NaN if not planned [1], by method.
         parameters: Values in the scenarios (S,), by label.
         title: The title of the figure.
     """
