@@ -59,8 +59,8 @@ workpiece
 
 # %%
 COLUMNS = {
-    "success_percent": "success [%]",
-    "paper_success_percent": "paper [%]",
+    "tracked_percent": "success [%]",
+    "paper_tracked_percent": "paper [%]",
     "step_ms": "time/target [ms]",
     "paper_step_ms": "paper [ms]",
     "tcp_distance_mean_mm": "TCP distance [mean mm]",

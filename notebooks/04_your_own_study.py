@@ -66,7 +66,7 @@ htcp_jax.chart(run, "map")
 
 # %%
 report = htcp_jax.make_report(run)
-report.frame("success").round(1)
+report.frame("scenario-rates").round(1)
 
 # %% [markdown]
 # ## Why plans end

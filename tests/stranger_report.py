@@ -21,7 +21,9 @@ HELD = 0.99
 def report_of(folder):
     """Rows of each of the report's tables, by the name of its CSV file."""
     run = Files(Path(folder))
-    tables = {name: [] for name in ("results", "success", "motions", "motion-ends", "stops", "joint-steps", "times")}
+    tables = {
+        name: [] for name in ("results", "scenario-rates", "motions", "motion-ends", "stops", "joint-steps", "times")
+    }
     tables |= {"spread": [], "best": [], "timing": []}
     for method in run.methods:
         for name in tables:
@@ -112,8 +114,9 @@ def results_of(run, method):
     return counts | {
         "method": method,
         "scenarios": len(rows),
-        "success_percent": 100 * counts["tracked"] / counts["targets"],
+        "tracked_percent": 100 * counts["tracked"] / counts["targets"],
         "executable_percent": 100 * counts["executable"] / counts["targets"],
+        "complete_percent": 100 * counts["complete"] / len(rows),
         "step_ms": 1e3 * run.total_s(method, "run_s") / sum(run.attempted(method, s) for s in run.rows[method]),
         "tcp_distance_mean_mm": or_none(np.mean, 1e3 * known(row["residual_m"] for row in tracked)),
         "orientation_error_mean_deg": or_none(np.mean, np.degrees(angles)),
@@ -122,7 +125,7 @@ def results_of(run, method):
     }
 
 
-def success_of(run, method):
+def scenario_rates_of(run, method):
     n, made = len(run.rows[method]), []
     complete = sum(row["complete"] for row in run.rows[method].values())
     driven = sum(run.is_driven(method, s) for s in run.rows[method])
@@ -140,13 +143,23 @@ def pairs_of(run):
     best, made = max(counts, key=lambda m: sum(counts[m].values())), []
     for method in counts:
         both = counts[method].keys() & counts[best].keys()
-        more = sum(counts[method][s] > counts[best][s] for s in both)
-        fewer = sum(counts[method][s] < counts[best][s] for s in both)
-        tail = sum(math.comb(more + fewer, k) for k in range(min(more, fewer) + 1))
-        p = min(1.0, 2 * tail / 2 ** (more + fewer)) if more + fewer else None
-        row = {"method": method, "other": best, "more": more, "fewer": fewer, "equal": len(both) - more - fewer, "p": p}
-        made += [row] if method != best else []
+        criteria = {
+            "executable targets": ("sign test", lambda m, s: run.rows[m][s]["executable"]),
+            "complete": ("McNemar", lambda m, s: run.rows[m][s]["complete"]),
+            "executable to the last target": ("McNemar", run.is_driven),
+        }
+        for criterion, (test, value) in criteria.items() if method != best else ():
+            more = sum(value(method, s) > value(best, s) for s in both)
+            fewer = sum(value(method, s) < value(best, s) for s in both)
+            row = {"method": method, "other": best, "criterion": criterion, "more": more, "fewer": fewer, "test": test}
+            made.append(row | {"equal": len(both) - more - fewer, "p": chance_of(more, fewer)})
     return made
+
+
+def chance_of(one, other):
+    """Probability of a split at least as uneven if both sides are equally likely; None without any."""
+    tail = sum(math.comb(one + other, k) for k in range(min(one, other) + 1))
+    return min(1.0, 2 * tail / 2 ** (one + other)) if one + other else None
 
 
 def spread_of(run, method):

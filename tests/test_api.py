@@ -188,7 +188,7 @@ def test_a_sweep_of_a_mapping_has_frames_tables_and_charts(short):
     assert len(run.frame("targets")) == 2 * 13 and run.frame("targets", "baseline").equals(run.frame("targets"))
     assert "100.00 %: 26 of 26 targets" in run._repr_html_()
     report = htcp_jax.make_report(run)
-    assert report.frame().success_percent.tolist() == [100.0]
+    assert report.frame().tracked_percent.tolist() == [100.0]
     assert isinstance(report.figures["success"], Figure) and "sweep" in repr(report)
     with pytest.raises(htcp_jax.InputError, match="no table 'result'; valid: results, "):
         report.frame("result")

@@ -41,6 +41,10 @@ def drawings() -> dict[str, Figure]:
         "success_map": charts.success_map(maps, TOOL, TURN, 4),
         "success_slices": charts.success_slices({m: np.stack([v, v, v]) for m, v in maps.items()}, TURN, TOOL, TURN, 4),
         "success_line": charts.success_line({m: v[:, 0] for m, v in maps.items()}, TOOL, 4),
+        "success_rates": charts.success_rates(
+            {method: plans.outcomes.can_be_driven.astype(float) for method, plans in PLANS.items()},
+            {"turn [rad]": np.array([0.1, 0.2]), "path": np.array(["weld", "seam.csv"])},
+        ),
         "survival": charts.survival(STATUS, reachability=np.array([4, 2])),
         "stops": charts.stops(STATUS),
         "clearance_along": charts.clearance_along({method: plans.clearance for method, plans in PLANS.items()}),
@@ -72,6 +76,38 @@ def test_long_values_of_an_axis_are_numbered_and_no_two_labels_of_a_map_overlap(
         figure.canvas.draw()
         boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels()]
         assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
+def test_a_single_map_fills_its_picture_and_random_values_are_rounded():
+    given = charts.Axis("turn [rad]", [0.0254539, 0.1234567, 0.3141592])
+    figure = charts.success_map({"hybrid": np.ones((3, 3))}, given, given, 4)
+    figure.canvas.draw()
+    box = figure.axes[0].get_window_extent()
+    assert box.x0 < 0.3 * figure.bbox.width and box.width > 0.45 * figure.bbox.width
+    assert given.names == ["0.0255", "0.123", "0.314"]
+    assert charts.Axis("turn [rad]", [0.1234567, 0.1234568]).names == ["0.123457", "0.123457"]
+
+
+def test_the_note_of_a_line_over_the_grid_agrees_with_its_axis():
+    values, fewer = {"hybrid": np.array([4.0, 3.0, 2.0])}, {"hybrid": np.array([3.0, 3.0, 2.0])}
+    cut = charts.success_line(values, TURN, 4, executable=fewer)
+    assert cut.axes[0].get_ylabel() == "executable targets" and "Tracked targets of" not in texts(cut)
+    assert charts.success_line(values, TURN, 4).axes[0].get_ylabel() == "tracked targets"
+
+
+def test_the_lines_of_joint_motion_are_named_and_within_their_frame():
+    steps = {"hybrid": np.array([[0.0, 1e-4, 2.0]]), "baseline": np.array([[0.3, 0.2, np.nan]])}
+    along = charts.joint_motion(steps).axes[1]
+    assert {text.get_text().split("  ")[0] for text in along.texts} == set(steps)
+    drawn = np.concatenate([line.get_ydata() for line in along.lines])
+    low, high = along.get_ylim()
+    assert low <= np.nanmin(drawn) and np.nanmax(drawn) <= high and "at least 1e-05" in texts(along.figure)
+
+
+@pytest.mark.parametrize("name", ["survival", "stops", "clearance_along", "manipulability_along", "joint_motion"])
+def test_the_ticks_of_targets_end_at_the_last_target(name):
+    axes = drawings()[name].axes[1 if name == "joint_motion" else 0]
+    assert axes.get_xticks().tolist() == [0, 1, 2, 3]
 
 
 def test_survival_counts_executable_targets_with_all_tracked_ones_faint():

@@ -51,7 +51,9 @@ def test_units_follow_the_names_of_columns(column, unit):
     [
         ("tracked", "tracked [targets]", "1,234"), ("step_ms", "time/target [ms]", "1234.00"),
         ("clearance_min_mm", "clearance [min mm]", "1.23e+03"), ("cycle_mean_s", "cycle time [mean s]", "1234.000"),
-        ("tcp_distance_mean_mm", "TCP distance [mean mm]", "1.23e+03"), ("success_percent", "success [%]", "1234.00"),
+        ("tcp_distance_mean_mm", "TCP distance [mean mm]", "1.23e+03"),
+        ("tracked_percent", "targets [tracked %]", "1234.00"),
+        ("complete_percent", "scenarios [complete %]", "1234.00"),
         ("curvature_median_rad_m2", "curvature [median rad/m2]", "1,234"), ("reason", "reason", "1234"),
     ],
 )  # fmt: skip
@@ -63,6 +65,10 @@ def test_heading_unit_and_format_follow_from_the_key(key, title, text):
 
 def test_the_statistics_of_a_quantity_have_the_heading_of_the_quantity():
     assert {columns.column(f"cycle_{name}_s").heading for name in columns.STATISTICS} == {"cycle time"}
+
+
+def test_two_joint_steps_that_count_different_segments_have_different_headings():
+    assert columns.column("path_step_max_rad").heading != columns.column("step_max_rad").heading
 
 
 def test_short_forms_keep_the_heading():

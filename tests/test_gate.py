@@ -424,4 +424,4 @@ def test_complete_scenarios_that_are_gained_and_lost_have_the_probability_of_mcn
     assert (second["gained"], second["lost"], second["p"]) == (0, 0, None)
     gate(run, tmp_path / "was.yaml", "--markdown", str(tmp_path / "page.md"))
     line = "baseline: 3 complete scenarios gained, 1 lost; probability of such a split by chance 0.62"
-    assert f"success  {line}\n" in capsys.readouterr().out and f"- {line}\n" in (tmp_path / "page.md").read_text()
+    assert f"complete  {line}\n" in capsys.readouterr().out and f"- {line}\n" in (tmp_path / "page.md").read_text()

@@ -102,6 +102,11 @@ def folder(tmp_path_factory):
             "measuring": ("path", f"grid:\n  - start_rad.6: [0.0]{POSES}"),
             "one": ("short", f"grid:\n  - {short}"),
             "groups": ("short", f"groups:\n  first:\n    - {short}\n  second:\n    - margin_m: [0.001, 0.002, 0.003]"),
+            "jointly": (
+                "short",
+                "grid:\n  - start_rad.6: {uniform: [-2.0, -1.9], count: 40}\n"
+                "    start_rad.5: {uniform: [0.1, 0.2], count: 40}",
+            ),
             "four": ("short", "grid:" + "".join(f"\n  - start_rad.{k}: [0.1, 0.2]" for k in (1, 4, 5, 6))),
         }
         for name, (config, text) in grids.items():
@@ -175,9 +180,9 @@ def test_the_results_hold_the_counts_behind_each_percentage(folder):
     lost = sum(k % 4 for k in range(49))
     base = rows["baseline"]
     assert (base["tracked"], base["targets"], base["complete"], base["scenarios"]) == (5145 - lost, 5145, 13, 49)
-    assert base["success_percent"] == pytest.approx(100 * (5145 - lost) / 5145)
+    assert base["tracked_percent"] == pytest.approx(100 * (5145 - lost) / 5145)
     assert base["clearance_min_mm"] == pytest.approx(1.0)
-    assert rows["hybrid"]["success_percent"] == 100
+    assert rows["hybrid"]["tracked_percent"] == 100
     attempted = 5145 - lost + 36  # the failed targets, one a scenario
     assert base["step_ms"] == pytest.approx(1e3 / attempted)
 
@@ -187,9 +192,18 @@ def test_a_method_is_compared_with_the_best_one_scenario_by_scenario(folder):
     base, best = (part.plans[method].executable.sum(axis=1) for method in ("baseline", "hybrid"))
     more, fewer, equal = (int(which.sum()) for which in (base > best, base < best, base == best))
     assert more == 0 < fewer and equal == 49 - fewer
-    (row,) = tables.pairs(part).records()
-    assert row == {"method": "baseline", "other": "hybrid", "more": 0, "fewer": fewer, "equal": equal, "p": row["p"]}
-    assert row["p"] == pytest.approx(2 * 0.5**fewer)  # all of them to one side, or all to the other
+    first, *_ = tables.pairs(part).records()
+    counts = {"more": 0, "fewer": fewer, "equal": equal}
+    named = {"method": "baseline", "other": "hybrid", "criterion": "executable targets", "test": "sign test"}
+    assert first == {**named, **counts, "p": first["p"]}
+    assert first["p"] == pytest.approx(2 * 0.5**fewer)  # all of them to one side, or all to the other
+
+
+def test_methods_are_compared_by_complete_scenarios_with_the_exact_test_of_mcnemar(folder):
+    _, complete, driven = tables.pairs(part_of(folder, "poses")).records()
+    assert complete["criterion"] == "complete" and complete["test"] == driven["test"] == "McNemar"
+    assert (complete["more"], complete["fewer"], complete["equal"]) == (0, 36, 13)  # the baseline completes 13 of 49
+    assert complete["p"] == pytest.approx(2 * 0.5**36) and driven["p"] == pytest.approx(2 * 0.5**49)
 
 
 def test_the_papers_four_columns_stand_next_to_ours_for_its_methods_on_its_grids_alone(folder):
@@ -197,7 +211,7 @@ def test_the_papers_four_columns_stand_next_to_ours_for_its_methods_on_its_grids
     theirs = {key: value for key, value in row.items() if key.startswith("paper_")}
     assert theirs == pytest.approx(
         {
-            "paper_success_percent": 39.16, "paper_step_ms": 278.9, "paper_tcp_distance_mm": 0.4831,
+            "paper_tracked_percent": 39.16, "paper_step_ms": 278.9, "paper_tcp_distance_mm": 0.4831,
             "paper_safe_distance_mm": 12.0973,
         }
     )  # fmt: skip
@@ -469,7 +483,7 @@ def test_the_reachability_is_compared_with_and_what_beats_it_is_named(folder, tm
 def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(folder, tmp_path, capsys):
     assert main(["report", str(folder / "poses"), "--out", str(tmp_path / "report")]) == 0
     output = capsys.readouterr()
-    assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +13 +49", output.out) and output.err == ""
+    assert re.search(r"baseline +98\.60 +5,073 +5,145 +49 +0\.95 +26\.53\n", output.out) and output.err == ""
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 9
     assert not re.search(r"<script|src=\"(?!data:)|href=\"(?!#)|url\(|@import", page)
@@ -479,10 +493,10 @@ def test_the_command_prints_the_table_and_writes_a_report_that_stands_alone(fold
     assert str(folder) not in page + text
     with open(tmp_path / "report" / "results.csv", newline="") as stream:
         (base, hybrid) = csv.DictReader(stream)
-    assert float(base["success_percent"]) == 100 * 5073 / 5145 and float(hybrid["success_percent"]) == 100
+    assert float(base["tracked_percent"]) == 100 * 5073 / 5145 and float(hybrid["tracked_percent"]) == 100
     assert sorted(file.name for file in (tmp_path / "report").glob("*.csv")) == [
         "best.csv", "joint-steps.csv", "motion-ends.csv", "motions.csv", "pairs.csv", "paper.csv", "results.csv",
-        "scenarios.csv", "spread.csv", "stops.csv", "success.csv", "times.csv",
+        "scenario-rates.csv", "scenarios.csv", "spread.csv", "stops.csv", "times.csv",
     ]  # fmt: skip
 
 
@@ -553,7 +567,7 @@ def wilson(k: int, n: int, sign: int) -> float:
 
 
 def test_rates_of_scenarios_have_the_interval_of_wilson(folder):
-    records = tables_of(part_of(folder, "poses"))["success"].records()
+    records = tables_of(part_of(folder, "poses"))["scenario-rates"].records()
     rows = {(row["method"], row["criterion"]): row for row in records}
     driven = "executable to the last target"
     for key, k in {("baseline", "complete"): 13, ("baseline", driven): 0, ("hybrid", driven): 49}.items():
@@ -585,18 +599,73 @@ def test_the_paper_s_values_stand_next_to_a_part_of_its_scenarios_with_a_sentenc
     report = make_report(run.folder)
     (part,) = report.parts
     assert part.paper_table is paper.WORKPIECE and len(part.numbers) == 14
-    assert report.frame("paper").paper_success_percent.tolist() == [39.16]
+    assert report.frame("paper").paper_tracked_percent.tolist() == [39.16]
     assert "The paper's values are for all 49 scenarios, ours for 14 of them." in markdown(report.blocks)
 
 
 def test_one_chart_is_drawn_without_the_rest_of_the_report(folder, monkeypatch):
+    whole = report_of(folder, "poses").figures["map"]
     monkeypatch.setattr(OpenedScene, "picture", None)  # the picture of the cell would fail
-    drawn = htcp_jax.chart(folder / "poses", "map")
-    assert png(drawn) == png(report_of(folder, "poses").figures["map"])
+    assert png(htcp_jax.chart(folder / "poses", "map")) == png(whole)
     runs = [folder / "groups", folder / "one"]
     assert htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "tracked targets [%]"
     with pytest.raises(InputError, match=r"no chart 'sucess'; did you mean success\?"):
         htcp_jax.chart(folder / "poses", "sucess")
+
+
+def test_every_parameter_that_varies_jointly_is_named_wherever_a_scenario_or_the_study_is(folder):
+    part = part_of(folder, "jointly")
+    both = [part.parameters[f"start_joint{k}_rad"] for k in (5, 6)]
+    label = ", ".join(f"start joint{k} {own[3]:.6g} rad" for k, own in zip((5, 6), both, strict=True))
+    assert part.labels[3] == part.run.labels()[3] == label and part.label(3, 1).endswith(" and 1 more")
+    first = part_facts(part)[0]
+    assert all(f"start joint{k} ({own.min():g} to" in first for k, own in zip((5, 6), both, strict=True))
+    assert {"start_joint5_rad", "start_joint6_rad"} <= {column.key for column in best_scenarios(part).columns}
+
+
+@pytest.mark.parametrize("name", ["start_rad.joint5", "joint5", "start_joint5_rad"])
+def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_can_be_chosen(folder, name):
+    part, (axes, *more) = part_of(folder, "jointly"), htcp_jax.chart(folder / "jointly", "map", over=name).axes
+    values, done = part.parameters["start_joint5_rad"], part.plans["hybrid"].outcomes.can_be_driven
+    bins = np.array_split(np.argsort(values), 10)
+    (line,) = [each for each in axes.lines if each.get_label() == "hybrid"]
+    assert not more and line.get_ydata().tolist() == [100 * done[rows].mean() for rows in bins] == [100.0] * 10
+    interval = axes.collections[1].get_segments()[0][:, 1]
+    np.testing.assert_allclose(interval, [wilson(4, 4, sign) for sign in (-1, 1)])
+    labels = [panel.get_xlabel() for panel in htcp_jax.chart(folder / "jointly", "map").axes]
+    assert labels == ["start joint5 [rad]", "start joint6 [rad]"] and "[%]" in axes.get_ylabel()
+
+
+def test_a_chart_over_an_unknown_parameter_names_the_valid_ones(folder):
+    with pytest.raises(InputError, match=r"over is 'joint4'; .*valid: start_joint5_rad, start_joint6_rad"):
+        htcp_jax.chart(folder / "jointly", "map", over="joint4")
+    with pytest.raises(InputError, match="argument of the chart 'map', not of 'survival'"):
+        htcp_jax.chart(folder / "jointly", "survival", over="joint5")
+
+
+def test_the_default_chart_of_several_runs_has_a_bar_for_each_method_and_run(folder):
+    axes = htcp_jax.chart([folder / "poses", folder / "starts"]).axes[0]
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    assert names == ["baseline, poses", "baseline, starts", "hybrid, poses", "hybrid, starts"]
+    assert "success" in report_of(folder, "poses", "one").figures
+
+
+def test_two_runs_of_a_grid_are_compared_method_by_method_with_both_tests(folder, tmp_path):
+    spec = load_sweep(folder / "poses.yaml")
+    first = spec.batch().scenarios
+    run = keep_plans(spec, {"baseline": by_hand(first, "hybrid"), "hybrid": by_hand(first, "hybrid")}, tmp_path / "b")
+    report = make_report([folder / "poses", run.folder])
+    base, same = (rows.set_index("criterion") for _, rows in report.frame("between-runs").groupby("method"))
+    assert base.fewer.to_dict() == {"executable targets": 49, "complete": 36, "executable to the last target": 49}
+    assert base.p["complete"] == pytest.approx(2 * 0.5**36) and same.p.isna().all() and set(same.run) == {"poses"}
+    assert not tables.between_runs(make_report([folder / "poses", folder / "starts"]).parts).rows  # other grids
+
+
+def test_both_percentages_of_success_stand_in_the_first_table_with_their_definitions(folder):
+    base = rows_of(tables.results(part_of(folder, "poses")))["baseline"]
+    assert base["complete_percent"] == pytest.approx(100 * 13 / 49)
+    text = markdown(report_of(folder, "poses").blocks)
+    assert all(f"{words}:" in text for words in ("Targets tracked", "Scenarios complete")) and "success [" not in text
 
 
 def test_every_chart_of_a_report_is_drawn_by_its_name(folder):
@@ -637,7 +706,8 @@ def test_success_is_drawn_along_a_parameter_of_the_task_with_what_is_reachable_n
     part = part_of(folder, "four")
     [name, *_], reachability = part.axes, np.arange(len(part.numbers))
     parameters = {"task.2.cone_deg": part.parameters[name], **part.parameters}
-    requested = replace(part, parameters=parameters, reachability=reachability)
+    keys = {each: each for each in parameters if each in (*part.axes, "task.2.cone_deg")}
+    requested = replace(part, parameters=parameters, reachability=reachability, keys=keys)
     [drawn] = [one for one in chapter(requested, tables_of(requested), "", 2) if getattr(one, "name", "") == ALONG]
     [dashed] = [line for line in drawn.figure.axes[0].lines if line.get_linestyle() == "--"]
     np.testing.assert_allclose(dashed.get_ydata(), part.cells(reachability.astype(float), [name]))

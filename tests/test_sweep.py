@@ -97,6 +97,16 @@ def test_the_command_prints_a_table_that_lines_up_and_nothing_else_when_piped(he
     assert lines[-1] == "Tracked: reached with the required clearance of 0.5 mm or more."
 
 
+def test_the_command_prints_no_row_and_no_column_without_a_value(here, capsys):
+    assert main(["sweep", "grid.yaml", "--methods", "baseline", "--limit", "1", "--out", "run"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    cells = [line.split() for line in lines if line.startswith("baseline ")]
+    assert (
+        cells and not [row for row in cells if "-" in row[1:]] and not [row for row in lines if "all methods  " in row]
+    )
+    assert any(line.startswith("Compiling for all methods took ") for line in lines)
+
+
 def test_a_run_names_the_solver_that_auto_selected_so_that_another_device_does_not_continue_it(small):
     run = sweep("grid.yaml", "baseline", "run", limit=1)
     assert load_sweep("grid.yaml").config.settings.qp == "auto" and run.config.settings.qp == "clarabel"

@@ -166,8 +166,8 @@ def _print_comparison(verdict: "regression.GateVerdict") -> None:
         print_table(console, table)
         console.print()
     for row in verdict.rows:
-        if row.success:
-            console.print(Text.assemble(("success  ", "cyan"), row.success))
+        if row.complete_scenarios:
+            console.print(Text.assemble(("complete  ", "cyan"), row.complete_scenarios))
     for changed in verdict.changed[:LISTED]:
         console.print(_describe(changed))
     if (more := len(verdict.changed) - LISTED) > 0:

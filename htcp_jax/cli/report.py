@@ -21,7 +21,7 @@ Out = Annotated[Path, typer.Option(metavar="DIR", help="Output folder.")]
 
 
 def report(runs: Runs, out: Out = Path("out/report"), feed: Feed = None, as_json: Json = False) -> int:
-    """Summarise runs in tables and charts: success, clearance, times, reasons for failures, and the paper's results.
+    """Summarise runs in tables and charts: targets tracked, scenarios complete, clearance, times, causes of failures.
 
     Of one plan, the report shows the arm from two sides, clearance, angles and speed along the path, the cycle time by
     phase, what was assumed, what is not checked, and the formats of its program; --feed is an option of a plan.

@@ -31,7 +31,7 @@ from htcp_jax.cli.output import (
 from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep, seeded
-from htcp_jax.report import Table, compilation_row, result_row
+from htcp_jax.report import Table, result_row
 from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import NOT_TRIED
@@ -196,12 +196,12 @@ def _sweep_bars() -> Iterator[Callable[[sweeps.SweepProgress], None]]:
 
 
 COUNTS = (
-    "method", "success_percent", "tracked", columns.total("targets"), "executable", "complete",
+    "method", "tracked_percent", "tracked", columns.total("targets"), "executable", "complete",
     columns.total("scenarios"), "blocked",
 )  # fmt: skip
 FIGURES = (
     "method", "step_ms", "tcp_distance_mean_mm", "orientation_error_mean_deg", "clearance_min_mm", "clearance_mean_mm",
-    "run_s", "compile_s",
+    "run_s",
 )  # fmt: skip
 
 
@@ -211,15 +211,16 @@ def _print_table(run: Run, running: RunningSummary) -> None:
     part = f", {run.manifest.part}" if run.manifest.part else ""
     console.print(Text(f"{run.manifest.name}{part}", style="bold"))
     plans = {method: running.plans(run, method) for method in _finished(run)}
-    rows = [result_row(method, summary.summarise(whole)) | {"compile_s": None} for method, whole in plans.items()]
-    compiled = [compilation_row(plans.values())] if plans else []
-    for keys, own in ((COUNTS, rows), (FIGURES, rows + compiled)):
-        print_table(console, Table.of("sweep", keys, own).without_empty())
+    rows = [result_row(method, summary.summarise(whole)) for method, whole in plans.items()]
+    for keys in (COUNTS, FIGURES):
+        print_table(console, Table.of("sweep", keys, rows).without_empty())
         console.print()
     print_timing(run, list(plans))
     kind = "sampled" if any(row.sampled for row in run.config.task_rows) else "proven"
     console.print(Text(f"Executable: tracked, and a {kind} motion leads there from the given start.", style="dim"))
     if plans:
+        compile_s = sum(whole.compile_s for whole in plans.values())
+        console.print(Text(f"Compiling for all methods took {compile_s:.2f} s.", style="dim"))
         requested = _margin_text(running.margins_m(run, *plans))
         text = f"Tracked: reached with the required clearance of {requested} mm or more."
         console.print(Text(text, style="dim"))

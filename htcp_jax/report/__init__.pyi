@@ -6,14 +6,13 @@ from .place_tables import read_search
 from .plan_report import report_of_plan
 from .proof_picture import draw_proof
 from .report import chart, make_report, report_record, write_report
-from .tables import compilation_row, result_row
+from .tables import result_row
 
 __all__ = [
     "Table",
     "best_pictures",
     "chart",
     "charts",
-    "compilation_row",
     "draw_proof",
     "draw_search",
     "gate",

@@ -1,12 +1,15 @@
 """Table and picture of each method's best scenarios."""
 
+import textwrap
+
 import numpy as np
 
 from htcp_jax.report.document import Block, Picture, Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs import columns, labels
+from htcp_jax.runs import columns
 
 BEST = 3  # number of scenarios per method
+MOST_IN_TITLE, TITLE_LINE = 4, 95  # maximum parameters in a picture's title, and characters of its lines
 RANKED = (
     "The best scenarios of each method, sorted by executable targets, then by minimum clearance, then by joint motion."
 )
@@ -18,7 +21,7 @@ def best_scenarios(part: Part) -> Table:
     Scenarios are sorted by the share of executable targets (largest first), then by minimum clearance (largest first),
     then by joint motion (smallest first).
     """
-    own = labels.varying(part.parameters)
+    own = part.varied
     varied = [
         columns.column(name)._replace(format=".6g" if values.dtype.kind == "f" else "") for name, values in own.items()
     ]
@@ -61,9 +64,16 @@ def best_of_all(part: Part, table: Table, prefix: str) -> list[Block]:
         return []
     (s, count, targets, least, _), method = min(found, key=lambda it: (-it[0][1] / it[0][2], -it[0][3], it[0][4]))
     number = int(part.numbers[s])
-    what = f"Scenario {number} by {method}" + (f": {part.labels[number]}" if part.labels[number] else "")
-    figure = part.scene.picture(number, method, what)
+    scenario = f"Scenario {number} by {method}"
+    what, title = (f"{scenario}: {label}".removesuffix(": ") for label in (part.label(s), part.label(s, MOST_IN_TITLE)))
+    figure = part.scene.picture(number, method, _wrapped(title))
     if figure is None:
         return [RANKED, table, f"There is no picture of the cell: {part.scene.problem}."]
     alt = f"{what}; {count} of {targets} targets executable, minimum clearance {least:.3g} mm"
     return [RANKED, table, f"{alt}.", Picture(f"{prefix}cell", figure, alt)]
+
+
+def _wrapped(title: str) -> str:
+    """Return a title in lines of at most TITLE_LINE characters, broken after commas."""
+    parts = title.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+    return "\n".join(textwrap.wrap(parts, TITLE_LINE)).replace("\N{NO-BREAK SPACE}", " ")

@@ -15,11 +15,11 @@ from htcp_jax.report.document import Block, Heading, Picture, Table
 from htcp_jax.report.groups import Part
 from htcp_jax.report.motions import meaning, motion_table
 from htcp_jax.report.part_charts import charts_of, numbered_values
-from htcp_jax.report.spread import MEANING as SUCCESS_MEANING
-from htcp_jax.report.spread import meaning_of_spread, spread, success
+from htcp_jax.report.spread import MEANING as RATES_MEANING
+from htcp_jax.report.spread import meaning_of_spread, scenario_rates, spread
 from htcp_jax.report.timing import TIMED, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
-from htcp_jax.runs import columns, summary
+from htcp_jax.runs import columns, labels, summary
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
@@ -29,8 +29,11 @@ BLOCKED = (
     "checks this. Tracked before it: the tracked targets before each scenario's first blocked step."
 )
 PAIRED = (
-    "Number of scenarios in which a method has more or fewer executable targets than the best method, or as many. "
-    "p: probability of a split at least as uneven if neither method is better (sign test). It assumes independent "
+    "Each criterion is compared scenario by scenario. Executable targets: scenarios in which the method has more or "
+    "fewer of them than the best method, or as many; sign test. Complete, and executable to the last target: scenarios "
+    "in which only the method succeeds (more), only the best one (fewer), or both or neither (equal); McNemar's exact "
+    "test. p: probability of a split at least as uneven if neither method is better. Many small differences in targets "
+    "may have a small p although both methods complete equally many scenarios. Both tests assume independent "
     "scenarios. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
 )
 MANIPULABILITY = (
@@ -42,7 +45,7 @@ BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated d
 
 TABLES = (
     tables.results,
-    success,
+    scenario_rates,
     tables.pairs,
     tables.paper,
     spread,
@@ -84,8 +87,8 @@ def chapter(part: Part, made: dict[str, Table], prefix: str, level: int) -> list
         Heading(level, "Results"),
         made["results"],
         *_notes_on_results(part),
-        made["success"],
-        SUCCESS_MEANING,
+        made["scenario-rates"],
+        RATES_MEANING,
         *_next_to_the_best(made["pairs"]),
         *_next_to_the_paper(part, made["paper"], level + 1),
         *_reachability_blocks(part, made["reachability"]),
@@ -149,11 +152,11 @@ def part_facts(part: Part) -> list[str]:
     """Return paragraphs on the part: scenarios, robot, workpiece, job."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
-    varied = ", ".join(
-        f"{columns.column(name).heading}{_axis_range(name, values)}" for name, values in part.axes.items()
-    )
+    each = [f"{columns.column(name).heading}{_axis_range(name, values)}" for name, values in part.varied.items()]
     full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
-    over = f", a grid of {grid} over {varied}" if full else f" over {varied}" if part.axes else ""
+    jointly = ", which vary jointly" if len(part.varied) > len(part.axes) == 1 else ""
+    over = f" over {labels.listed(each)}{jointly}" if each else ""
+    over = f", a grid of {grid}{over}" if full else over
     lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
     path = scene.workpiece.path_label if scene.workpiece.seams else scene.workpiece.path
@@ -178,7 +181,7 @@ def _axis_range(name: str, values: np.ndarray) -> str:
     unit = name.rpartition("_")[2]
     if unit not in UNITS or values.dtype.kind not in "if":  # the values are texts or lists
         return ""
-    low, high = float(values[0]), float(values[-1])
+    low, high = float(values.min()), float(values.max())
     degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
     return f" ({low:g} to {high:g} {unit}{degrees})"
 
@@ -239,6 +242,8 @@ def _notes_on_results(part: Part) -> list[str]:
     sampled = f"The task row {names} has no rate, so proven motions in this report are only sampled along the path."
     return [
         *([sampled] if names else []),
+        "Targets tracked: tracked targets in percent of all targets of all scenarios; a scenario ends at its first "
+        "failure. Scenarios complete: percentage of scenarios with all targets tracked.",
         "A target is executable if a proven motion leads to it from the given start, with the arm clear of "
         "collisions and the tool on its path. Tracked targets after the end of this motion are not executable. "
         + _unchecked_sentence(part),

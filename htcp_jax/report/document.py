@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PAGE = Path(__file__).with_name("page.html")
+REM_PER_INCH = 6.8  # a figure of 10 inch is as wide as the page
 LEAST_CONTENTS = 3  # number of headings from which on a page has a list of contents
 
 
@@ -180,9 +181,14 @@ def _html(block: Block, pictures: dict[str, bytes], anchor: str = "") -> str:
             return f"<h{level}{f' id={chr(34)}{anchor}{chr(34)}' * bool(anchor)}>{escape(text)}</h{level}>"
         case Table():
             return _html_table(block)
-        case Picture(name, _, alt, half):
+        case Picture(name, figure, alt, half):
             data, kind = base64.b64encode(pictures[name]).decode(), "half" if half else "picture"
-            return f'<div class="{kind}"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"></div>'
+            widest = (
+                f' style="max-width: {REM_PER_INCH * figure.get_figwidth():.0f}rem"'
+                if hasattr(figure, "savefig")
+                else ""
+            )
+            return f'<div class="{kind}"><img src="data:image/png;base64,{data}" alt="{escape(alt)}"{widest}></div>'
     return f"<p>{escape(block)}</p>"
 
 

@@ -100,8 +100,8 @@ def _blocks(verdict: gate.GateVerdict) -> Iterator[Block]:
         yield "Device, versions or XLA_FLAGS differ from the baseline's, so the limits in `allow.elsewhere` apply."
     counts = [row._asdict() | {"difference": _difference(row.was_tracked, row.tracked)} for row in verdict.rows]
     yield Table.of("counts", (*TRACKED, "difference", *COUNTS[len(TRACKED) :]), counts, "Tracked targets")
-    if success := [row.success for row in verdict.rows if row.success]:
-        yield "\n".join(f"- {escaped(line)}" for line in success)
+    if complete := [row.complete_scenarios for row in verdict.rows if row.complete_scenarios]:
+        yield "\n".join(f"- {escaped(line)}" for line in complete)
     if differing := [each for row in verdict.rows for each in _shown_differences(row)]:
         yield Table.of("figures", DIFFERENCES, differing, "Other figures that changed")
     for title, lines in (("Failures", verdict.failures), ("Better", verdict.improvements), ("Differs", verdict.notes)):

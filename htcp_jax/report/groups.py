@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from htcp_jax.errors import InputError, did_you_mean
 from htcp_jax.motion import Plans, motion
 from htcp_jax.report import paper
 from htcp_jax.report.cell import OpenedScene
@@ -16,6 +17,8 @@ from htcp_jax.report.validation import read_validation
 from htcp_jax.runs import Run, of_job, reachability_file
 from htcp_jax.runs import labels as scenario_labels
 from htcp_jax.runs import tables as scenario_tables
+
+MOST_LEVELS = 10  # maximum number of random values of an axis that are drawn one by one
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,6 +29,7 @@ class Part:
     name: str  # name of the run, and of the group if there is one
     numbers: np.ndarray  # (S,) numbers of the scenarios in the run
     parameters: dict[str, np.ndarray]  # values (S,) by parameter: columns of the scenario table that a grid may vary
+    keys: dict[str, str]  # parameters that the run's grid varies, by the names of their keys
     plans: dict[str, Plans]  # by method with a finished shard; status -1: the scenario is not planned yet
     motions: dict[str, motion.MotionFigures]  # by method; unknown values are NaN
     timing: dict[str, pa.Table | None]  # by method: a row per scenario, see `timing_file`; None: not timed
@@ -44,10 +48,43 @@ class Part:
         """Largest number of targets T."""
         return max(plans.status.shape[1] for plans in self.plans.values())
 
+    @property
+    def grid_name(self) -> tuple[Any, str]:
+        """The run's grid and the part's group: equal for parts with the same scenarios."""
+        return self.run.manifest.grid, self.name.removeprefix(self.run_name)
+
+    @cached_property
+    def varied(self) -> dict[str, np.ndarray]:
+        """Values (S,) of each parameter that the grid varies, also of those that vary jointly."""
+        return scenario_labels.varying(self.parameters, self.keys.values())
+
     @cached_property
     def axes(self) -> dict[str, np.ndarray]:
-        """Sorted values of each parameter that varies, without parameters that another one determines."""
-        return {name: np.unique(values) for name, values in scenario_labels.varying(self.parameters).items()}
+        """Sorted values of each parameter that the grid varies, without parameters that another one determines."""
+        return {name: np.unique(values) for name, values in scenario_labels.independent(self.varied).items()}
+
+    def is_drawn(self, name: str) -> bool:
+        """Return True if a varied parameter has more than MOST_LEVELS numbers that are in no order, as random ones."""
+        values = self.varied[name]
+        _, first = np.unique(values, return_index=True)
+        order = np.sign(np.diff(first))
+        return values.dtype.kind in "if" and len(first) > MOST_LEVELS and not abs(order.sum()) == len(order)
+
+    def column_of(self, name: str) -> str:
+        """Return the varied parameter with a name: of its column, of its key, or the last part of its key.
+
+        Raises:
+            InputError: If there is no such parameter, or if several have this name.
+        """
+        names = {column: {column} for column in self.varied}
+        for key, column in self.keys.items():
+            if column in names:
+                names[column] |= {key, key.rpartition(".")[2]}
+        found = [column for column, own in names.items() if name in own]
+        if len(found) != 1:
+            valid = ", ".join(names) or "none, as no parameter varies"
+            raise InputError(f"over is {name!r}; {did_you_mean(name, names)}valid: {valid}")
+        return found[0]
 
     def causes(self, method: str) -> dict[int, dict[str, str | None]]:
         """Return the columns `runs.tables.CAUSE` by scenario, for the scenarios with an unusable start."""
@@ -57,12 +94,12 @@ class Part:
     @cached_property
     def labels(self) -> dict[int, str]:
         """Varied parameters as text, by scenario."""
-        own = scenario_labels.varying(self.parameters)
-        texts = [
-            ", ".join(scenario_labels.part(name, values[s]) for name, values in own.items())
-            for s in range(len(self.numbers))
-        ]
-        return dict(zip(self.numbers.tolist(), texts, strict=True))
+        return {number: self.label(s) for s, number in enumerate(self.numbers.tolist())}
+
+    def label(self, s: int, most: int | None = None) -> str:
+        """Return the varied parameters of the scenario in row s as text, of more than `most` the first ones."""
+        texts = [scenario_labels.part(name, values[s]) for name, values in self.varied.items()]
+        return scenario_labels.listed(texts, most)
 
     @cached_property
     def times(self) -> dict[str, dict[int, dict[str, Any]]]:
@@ -81,7 +118,7 @@ class Part:
         middle = [np.median(known[f"start_{joint}"]) for joint in self.run.manifest.joints]
         if len(middle) != len(paper.START) or not np.allclose(middle, paper.START) or self.targets != paper.TARGETS:
             return None
-        axes = {name: np.unique(values) for name, values in scenario_labels.varying(known).items()}
+        axes = {name: np.unique(values) for name, values in scenario_labels.independent(known).items()}
         for table in (paper.ROBOT, paper.WORKPIECE):
             same = tuple(axes) == table.grid and len(known[table.grid[0]]) == table.scenarios
             same &= {*self.axes} <= {*table.grid}
@@ -146,6 +183,7 @@ def read_parts(run: Run, name: str) -> list[Part]:
         name=name,
         numbers=np.arange(run.manifest.rows),
         parameters={},
+        keys=scenario_labels.varied_columns(run.manifest.grid, table.column_names),
         plans=plans,
         motions={method: _figures_of_method(run, method) for method in methods},
         timing={method: each and each.rows for method, each in timing.items()},

@@ -1,6 +1,6 @@
 """Charts of a part of a run, by the stems of their file names; each is drawn on demand."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_SLICES = 9  # maximum number of maps side by side
+SUCCESS, MAP = "success", "map"  # names of the charts of all scenarios, and over the grid
 OF_TASK = "task."  # prefix of task parameters; success and reachability are drawn over each of them
 
 
@@ -32,14 +33,22 @@ class Chart(NamedTuple):
         return Picture(name, self.draw(), self.alt)
 
 
-def charts_of(part: Part) -> dict[str, Chart]:
-    """Return the charts of a part by name, without the prefix of the part."""
+def charts_of(part: Part, over: str | None = None) -> dict[str, Chart]:
+    """Return the charts of a part by name, without the prefix of the part.
+
+    Args:
+        part: The part of the run.
+        over: Name of the parameter over which the chart "map" is drawn, see `Part.column_of`; None: by the grid.
+
+    Raises:
+        InputError: If the part has no parameter with this name.
+    """
     status = {method: plans.status for method, plans in part.plans.items()}
     executable = {method: plans.executable for method, plans in part.plans.items()}
     survival = partial(charts.survival, status, executable=executable, reachability=part.reachability)
     found = {
-        "success": Chart(partial(_success, part), f"Success of each method on {part.name}"),
-        **_over_grid(part),
+        SUCCESS: Chart(partial(_success, part), f"Success of each method on {part.name}"),
+        **(_over_grid(part) if over is None else {MAP: _rates(part, [part.column_of(over)])}),
         "survival": Chart(survival, "Number of scenarios that execute each target, by method"),
     }
     if any(map(tables.reasons, part.plans.values())):
@@ -78,7 +87,7 @@ def numbered_values(part: Part) -> list[str]:
 
 def _success(part: Part) -> "Figure":
     rows = tables.results(part).records()
-    theirs = {row["method"]: row["paper_success_percent"] for row in tables.paper(part).records()}
+    theirs = {row["method"]: row["paper_tracked_percent"] for row in tables.paper(part).records()}
     whole = all(row["scenarios"] == len(part.numbers) for row in rows)
     return charts.success(
         {row["method"]: row["tracked"] for row in rows},
@@ -89,6 +98,23 @@ def _success(part: Part) -> "Figure":
     )
 
 
+def success_of_parts(parts: Sequence[Part]) -> Chart:
+    """Return the chart of the results of several parts, with a bar for each method and part, next to each other."""
+    methods = dict.fromkeys(method for part in parts for method in part.plans)
+    rows = {
+        f"{method}, {part.name}": row
+        for method in methods
+        for part in parts
+        for row in tables.results(part).records()
+        if row["method"] == method
+    }
+    tracked, targets, executable, of = (
+        {name: row[key] for name, row in rows.items()} for key in ("tracked", "targets", "executable", "method")
+    )
+    draw = partial(charts.success, tracked, targets, executable=executable, methods=of)
+    return Chart(draw, f"Targets of each method in {', '.join(part.name for part in parts)}")
+
+
 def _axes(part: Part) -> dict[str, charts.Axis]:
     return {name: charts.Axis(columns.column(name).title, values.tolist()) for name, values in part.axes.items()}
 
@@ -96,8 +122,9 @@ def _axes(part: Part) -> dict[str, charts.Axis]:
 def _over_grid(part: Part) -> dict[str, Chart]:
     """Return charts of the results over the grid of parameters.
 
-    One parameter is drawn as a line, two as a map, three as a map for each value of the first, and more as maps of
-    means. Each parameter of the task is also drawn as a line.
+    If values are drawn at random, all parameters are drawn as rates in bins. Else one parameter is drawn as a line, two
+    as a map, three as a map for each value of the first, and more as maps of means. Each parameter of the task is also
+    drawn as a line.
     """
     names, axes = list(part.axes), _axes(part)
 
@@ -120,20 +147,30 @@ def _over_grid(part: Part) -> dict[str, Chart]:
         known = part.reachability
         options = {"reachability": None if known is None else part.cells(known.astype(float), [name])}
         if len(names) == 1:
-            return {"map": chart(charts.success_line, [name], **options)}
+            return {MAP: chart(charts.success_line, [name], **options)}
         options["title"] = f"Success over {axes[name].label}, means over the other axes"
         return {f"along-{name.replace('.', '-')}": chart(charts.success_line, [name], **options)}
 
+    if any(map(part.is_drawn, names)):
+        return {MAP: _rates(part, list(part.varied))}
     if len(names) < 2:
         return line(names[0]) if names else {}
     along = {}
     for name in filter(lambda name: name.startswith(OF_TASK), names):
         along |= line(name)
     if len(names) == 2:
-        return along | {"map": chart(charts.success_map, names)}
+        return along | {MAP: chart(charts.success_map, names)}
     if len(names) == 3 and len(part.axes[names[0]]) <= MOST_SLICES:
-        return along | {"map": chart(charts.success_slices, names)}
+        return along | {MAP: chart(charts.success_slices, names)}
     return along | means(names[:2]) | (means(names[-2:]) if len(names) > 3 else {})
+
+
+def _rates(part: Part, names: Sequence[str]) -> Chart:
+    """Return the chart of scenarios that are executable to the last target, over some parameters."""
+    done = {m: _count_or_nan(plans, plans.outcomes.can_be_driven) for m, plans in part.plans.items()}
+    given = {columns.column(name).title: part.varied[name] for name in names}
+    what = f"Share of scenarios executable to the last target, by method, over {', '.join(given)}"
+    return Chart(partial(charts.success_rates, done, given), what, over_grid=True)
 
 
 def _count_or_nan(plans: Plans, count: np.ndarray) -> np.ndarray:

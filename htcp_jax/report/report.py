@@ -17,8 +17,8 @@ from htcp_jax.planning import registry
 from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
-from htcp_jax.report.part_charts import charts_of
-from htcp_jax.report.tables import configuration_table
+from htcp_jax.report.part_charts import MAP, SUCCESS, charts_of, success_of_parts
+from htcp_jax.report.tables import between_runs, configuration_table
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, columns, labels, open_run
 from htcp_jax.runs import tables as run_tables
@@ -27,6 +27,11 @@ from htcp_jax.system import files
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
+BETWEEN = (
+    "The same scenarios of a grid, planned in two runs by one method. More: scenarios in which the first run has more "
+    "executable targets (sign test), or in which only the first run succeeds (McNemar's exact test)."
+)
 
 
 class Report(NamedTuple):
@@ -70,34 +75,48 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     """
     names, parts = _read(runs)
     made = tuple(tables_of(part) for part in parts)
+    between = between_runs(parts)
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         results = {part.name: tables["results"] for part, tables in zip(parts, made, strict=True)}
         blocks += ["Executable targets in percent of all, by method and run.", overview(results)]
+        blocks += [success_of_parts(parts).picture(SUCCESS), *_between_runs(between)]
         for part, tables in zip(parts, made, strict=True):
             blocks += [Heading(2, part.name), *chapter(part, tables, _prefix(part, parts), 3)]
     else:
         blocks += chapter(parts[0], made[0], "", 2)
     blocks += _appendix(parts)
-    return Report(tuple(parts), made, tuple(blocks), tuple(_concatenated_tables(parts, made)))
+    return Report(
+        tuple(parts), made, tuple(blocks), tuple(_concatenated_tables(parts, made)) + (between,) * bool(between.rows)
+    )
 
 
-def chart(runs: Run | str | Path | Sequence[Run | str | Path], name: str = "success") -> "Figure":
+def chart(
+    runs: Run | str | Path | Sequence[Run | str | Path], name: str = SUCCESS, *, over: str | None = None
+) -> "Figure":
     """Draw one chart of the report of runs, without the rest of the report.
 
     Args:
         runs: One or several runs, or their folders.
-        name: Name of the chart, as in `Report.figures`: "success", "map" (of a grid with one to three axes),
+        name: Name of the chart, as in `Report.figures`: "success" (of several runs: all of them in one chart), "map",
             "survival", "stops", "clearance", "joint-motion" and others.
+        over: Parameter over which "map" is drawn, any that the grid varies: the name of its column, of its key, or the
+            last part of its key, such as "rotation_y_rad". None: as in the report.
 
     Raises:
-        InputError: If the report has no chart with this name; otherwise see `make_report`.
+        InputError: If the report has no chart, or the grid no parameter, with this name; otherwise see `make_report`.
     """
     _, parts = _read(runs)
-    known = {f"{_prefix(part, parts)}{key}": each for part in parts for key, each in charts_of(part).items()}
+    known = {f"{_prefix(part, parts)}{key}": part for part in parts for key in charts_of(part)}
+    if len(parts) > 1 and name == SUCCESS:
+        return success_of_parts(parts).draw()
     if name not in known:
-        raise InputError(f"the report has no chart {name!r}; {did_you_mean(name, known)}valid: {', '.join(known)}")
-    return known[name].draw()
+        valid = [SUCCESS] * (len(parts) > 1) + [*known]
+        raise InputError(f"the report has no chart {name!r}; {did_you_mean(name, valid)}valid: {', '.join(valid)}")
+    own = name.removeprefix(_prefix(known[name], parts))
+    if over is not None and own != MAP:
+        raise InputError(f"over is an argument of the chart {MAP!r}, not of {name!r}")
+    return charts_of(known[name], over)[own].draw()
 
 
 def _read(runs: Run | str | Path | Sequence[Run | str | Path]) -> tuple[list[str], list[Part]]:
@@ -155,6 +174,10 @@ def overview(results: Mapping[str, Table]) -> Table:
 def slug(name: str) -> str:
     """Convert a name for use in file names."""
     return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.") or "run"
+
+
+def _between_runs(table: Table) -> list[Block]:
+    return [table, BETWEEN] if table.rows else []
 
 
 def _appendix(parts: Sequence[Part]) -> list[Block]:

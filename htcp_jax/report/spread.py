@@ -1,15 +1,13 @@
-"""Tables of success by scenario with its confidence, and of quartiles over a part's scenarios."""
+"""Tables of the rates of complete scenarios with their confidence, and of quartiles over a part's scenarios."""
 
 import numpy as np
-import scipy
 
 from htcp_jax.report.document import Table
 from htcp_jax.report.groups import Part
-from htcp_jax.runs import columns, timing_file
+from htcp_jax.runs import columns, summary, timing_file
 
-CONFIDENCE = 0.95
 QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
-SUCCESS = (
+RATES = (
     "method",
     "criterion",
     "scenarios",
@@ -26,7 +24,7 @@ SPREAD = (
       for quartile in QUARTILES),
 )  # fmt: skip
 MEANING = (
-    "A scenario is complete if all of its targets are tracked. Low and high: 95 % confidence interval (Wilson) of the "
+    "Low and high: 95 % confidence interval (Wilson) of the "
     "rate, if the scenarios are a random sample. Neighbours in a regular grid are similar; there it is only a guide."
 )
 MEANING_OF_SPREAD = (
@@ -40,7 +38,7 @@ SHARED = (
 )
 
 
-def success(part: Part) -> Table:
+def scenario_rates(part: Part) -> Table:
     """Return the table of scenarios that meet each of CRITERIA, with confidence intervals of the rates."""
     rows = []
     for method, plans in part.plans.items():
@@ -48,11 +46,11 @@ def success(part: Part) -> Table:
         planned = int(ends.planned.sum())
         for name, criterion in CRITERIA.items():
             count = int(getattr(ends, name).sum())
-            low, high = scipy.stats.binomtest(count, planned).proportion_ci(CONFIDENCE, method="wilson")
-            rates = {"rate": count / planned, "rate_low": float(low), "rate_high": float(high)}
+            low, high = summary.rate_interval(count, planned)
+            rates = {"rate": count / planned, "rate_low": low, "rate_high": high}
             row = {"method": method, "criterion": criterion, "scenarios": count, "planned": planned}
             rows.append(row | {f"{key}_percent": 100 * rate for key, rate in rates.items()})
-    return Table.of("success", SUCCESS, rows, "Scenarios")
+    return Table.of("scenario-rates", RATES, rows, "Scenarios")
 
 
 def spread(part: Part) -> Table:

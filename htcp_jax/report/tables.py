@@ -1,9 +1,10 @@
 """Tables of a part's results, and of the runs' configurations."""
 
 import dataclasses
+import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,20 @@ from htcp_jax.status import SegmentStatus, Status
 
 ALL_METHODS = "all methods"  # label of the row with the compilation time
 RESULTS = (
-    "method", "success_percent", "tracked", columns.total("targets"), "executable", "executable_percent", "complete",
-    columns.total("scenarios"), "step_ms", "tcp_distance_mean_mm", "orientation_error_mean_deg", "clearance_min_mm",
-    "clearance_mean_mm",
+    "method", "tracked_percent", "tracked", columns.total("targets"), "executable", "executable_percent",
+    "complete_percent", "complete", columns.total("scenarios"), "step_ms", "tcp_distance_mean_mm",
+    "orientation_error_mean_deg", "clearance_min_mm", "clearance_mean_mm",
 )  # fmt: skip
 PAPER = (
-    "method", "success_percent", "paper_success_percent", "step_ms", "paper_step_ms", "tcp_distance_mean_mm",
+    "method", "tracked_percent", "paper_tracked_percent", "step_ms", "paper_step_ms", "tcp_distance_mean_mm",
     "paper_tcp_distance_mm", "clearance_mean_mm", "paper_safe_distance_mm",
 )  # fmt: skip
+COMPARED = "criterion", "more", "fewer", "equal", "test", "p"
+PAIRED = {  # criteria of paired comparisons: field of `Outcomes`, and name of the test
+    "executable targets": ("executable", "sign test"),
+    "complete": ("complete", "McNemar"),
+    "executable to the last target": ("can_be_driven", "McNemar"),
+}
 STEPS = (
     "method", "accepted", "blocked", "blocked_percent", "not_checked", "scenarios_blocked", "tracked_before",
     "tracked_before_percent", "after_recovery", "step_median_rad", "step_max_rad",
@@ -45,21 +52,46 @@ def results(part: Part) -> Table:
 
 
 def pairs(part: Part) -> Table:
-    """Return the table that compares every other method with the best one, which has the most executable targets.
+    """Return the table that compares every other method with the best one, which has the most executable targets."""
+    counts = {method: int(plans.executable.sum()) for method, plans in part.plans.items()}
+    best = max(counts, key=lambda method: counts[method])
+    others = {method: plans for method, plans in part.plans.items() if method != best}
+    rows = [
+        {"method": method, "other": best} | row
+        for method, plans in others.items()
+        for row in compared(plans, part.plans[best])
+    ]
+    return Table.of("pairs", ("method", "other", *COMPARED), rows, "Compared with the best method")
 
-    It counts the scenarios in which a method has more, fewer or as many executable targets. The p-value is of
-    the exact two-sided sign test over the scenarios that both have planned and in which they differ; None without any.
-    """
-    counts = {method: plans.executable.sum(axis=1) for method, plans in part.plans.items()}
-    planned = {method: plans.outcomes.planned for method, plans in part.plans.items()}
-    best = max(counts, key=lambda method: int(counts[method].sum()))
+
+def between_runs(parts: Sequence[Part]) -> Table:
+    """Return the table that compares each method with itself in another run of the same grid."""
     rows = []
-    for method in (method for method in counts if method != best):
-        apart = (counts[method] - counts[best])[planned[method] & planned[best]]
+    for one, other in itertools.combinations(parts, 2):
+        if one.grid_name != other.grid_name:
+            continue
+        _, own, theirs = np.intersect1d(one.numbers, other.numbers, return_indices=True)
+        for method in (method for method in one.plans if method in other.plans and own.size):
+            found = compared(one.plans[method].rows(own), other.plans[method].rows(theirs))
+            rows += [{"method": method, "run": one.name, "other": other.name} | row for row in found]
+    return Table.of("between-runs", ("method", "run", "other", *COMPARED), rows, "Compared between runs")
+
+
+def compared(plans: Plans, other: Plans) -> list[dict]:
+    """Return the paired comparisons of two methods' plans of the same scenarios, one per criterion, by column key.
+
+    More, fewer, equal: number of scenarios in which `plans` have a larger, smaller or equal value of the criterion than
+    `other`, among those that both have planned. p is of the exact two-sided test; None if no scenario differs.
+    """
+    both = plans.outcomes.planned & other.outcomes.planned
+    rows = []
+    for criterion, (field, test) in PAIRED.items():
+        values = (getattr(each.outcomes, field)[both].astype(int) for each in (plans, other))
+        apart = np.subtract(*values)
         more, fewer = int((apart > 0).sum()), int((apart < 0).sum())
-        p, equal = summary.sign_test(more, fewer), len(apart) - more - fewer
-        rows.append({"method": method, "other": best, "more": more, "fewer": fewer, "equal": equal, "p": p})
-    return Table.of("pairs", ("method", "other", "more", "fewer", "equal", "p"), rows, "Compared with the best method")
+        counts = {"more": more, "fewer": fewer, "equal": len(apart) - more - fewer}
+        rows.append({"criterion": criterion, **counts, "test": test, "p": summary.sign_test(more, fewer)})
+    return rows
 
 
 def paper(part: Part) -> Table:
@@ -70,7 +102,7 @@ def paper(part: Part) -> Table:
     rows = [
         _result(part, method)
         | {
-            "paper_success_percent": theirs.success_percent,
+            "paper_tracked_percent": theirs.success_percent,
             "paper_step_ms": 1e3 * theirs.step_s,
             "paper_tcp_distance_mm": theirs.tcp_distance_mm,
             "paper_safe_distance_mm": theirs.safe_distance_mm,
@@ -89,8 +121,9 @@ def result_row(method: str, found: summary.Summary) -> dict:
     """Return a method's row in the tables of results, by column key."""
     return found._asdict() | {
         "method": method,
-        "success_percent": percent(found.tracked, found.targets),
+        "tracked_percent": percent(found.tracked, found.targets),
         "executable_percent": percent(found.executable, found.targets),
+        "complete_percent": percent(found.complete, found.scenarios),
         "blocked": found.blocked_paths,
     }
 
@@ -253,18 +286,8 @@ def times(part: Part) -> Table:
     Methods share programs, and all are compiled before the first one plans, so no method has a time of its own.
     """
     rows = [{"method": method, "run_s": plans.run_s, "cpu_s": plans.cpu_s} for method, plans in part.plans.items()]
-    return Table.of(
-        "times", ("method", "run_s", "cpu_s", "compile_s"), [*rows, compilation_row(part.plans.values())]
-    ).without_empty()
-
-
-def compilation_row(plans: Iterable[Plans]) -> dict:
-    """Return the row of a table of methods with the compilation time of all of them.
-
-    Args:
-        plans: The plans of each method.
-    """
-    return {"method": ALL_METHODS, "compile_s": sum(each.compile_s for each in plans)}
+    compilation = {"method": ALL_METHODS, "compile_s": sum(plans.compile_s for plans in part.plans.values())}
+    return Table.of("times", ("method", "run_s", "cpu_s", "compile_s"), [*rows, compilation]).without_empty()
 
 
 def configuration_table(ran: Mapping[str, PlanConfig], presets: Mapping[str, PlanConfig]) -> Table:

@@ -111,7 +111,7 @@ def _draw(part: Part, measure: Measure, values: dict[str, np.ndarray]) -> "Figur
     axes = [Axis(columns.column(name).title, part.axes[name].tolist()) for name in chosen]
     given = {method: part.cells(own, chosen) for method, own in values.items()}
     if len(axes) == 1:
-        return over_line(given, axes[0], measure)
+        return over_line(given, axes[0], measure, joined=not part.is_drawn(chosen[0]))
     return over_map(given, *axes, measure, "Means over the other axes." if len(part.axes) > 2 else "")
 
 

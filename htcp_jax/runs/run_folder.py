@@ -30,7 +30,7 @@ from htcp_jax.notebook import html_facts
 from htcp_jax.runs import tables
 from htcp_jax.runs.finite import check_table
 from htcp_jax.runs.identity import other_format, recorded_config
-from htcp_jax.runs.labels import labels_of
+from htcp_jax.runs.labels import labels_of, parameter_names, varied_columns
 from htcp_jax.runs.manifest import (
     FORMAT,
     MANIFEST,
@@ -222,7 +222,9 @@ class Run:
         Raises:
             InputError: See `Run.targets`.
         """
-        return labels_of(self._read("scenarios", tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))))
+        methods = tuple(dict.fromkeys(shard.method for shard in self.manifest.shards))
+        rows = self._read("scenarios", methods)
+        return labels_of(rows, varied_columns(self.manifest.grid, parameter_names(rows)).values())
 
     def result_files(self) -> dict[str, str]:
         """Return the SHA-256 of the files with targets of finished shards, by path in the folder."""

@@ -11,6 +11,8 @@ from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.status import Status
 
+CONFIDENCE = 0.95  # of confidence intervals
+
 
 class Failure(NamedTuple):
     """The first target of a scenario that is not tracked."""
@@ -99,6 +101,17 @@ def sign_test(better: int, worse: int) -> float | None:
         The p-value, a share [1]; None if both numbers are 0.
     """
     return float(scipy.stats.binomtest(better, better + worse).pvalue) if better + worse else None
+
+
+def rate_interval(count: int, scenarios: int) -> tuple[float, float]:
+    """Return the confidence interval of a rate, by Wilson, with the probability CONFIDENCE; shares [1].
+
+    Args:
+        count: Number of scenarios that meet the criterion.
+        scenarios: Number of all scenarios, at least 1.
+    """
+    low, high = scipy.stats.binomtest(count, scenarios).proportion_ci(CONFIDENCE, method="wilson")
+    return float(low), float(high)
 
 
 def reduced(reduce: Callable[..., Any], values: Float[np.ndarray, "n"]) -> float:

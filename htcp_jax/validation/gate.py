@@ -132,7 +132,7 @@ class GateRow(NamedTuple):
     verdict: str
 
     @property
-    def success(self) -> str:
+    def complete_scenarios(self) -> str:
         """Sentence on the gained and lost complete scenarios; "" if there are none."""
         if self.p is None:
             return ""

@@ -1,6 +1,7 @@
 from .along_path import clearance_along, joint_motion, joint_motion_by_joint, manipulability_along, stops, survival
 from .motion_proof import proof_chart
 from .placement import place_map
+from .rates import success_rates
 from .success import Axis, success, success_line, success_map, success_slices
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "success",
     "success_line",
     "success_map",
+    "success_rates",
     "success_slices",
     "survival",
 ]

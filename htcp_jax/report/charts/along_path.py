@@ -19,6 +19,7 @@ from htcp_jax.report.charts.style import (
     line_of,
     name_lines,
     new_figure,
+    number_targets,
     outer_labels,
     panels_by_method,
     plain_axes,
@@ -87,9 +88,9 @@ def survival(
             axes.step(range(targets), tracked[method], where="mid", **look)
         axes.step(range(targets), alive, where="mid", color=colour, linestyle=style, linewidth=2)
         ends[method] = float(alive[-1])
-    axes.set(xlim=(0, targets - 1), ylim=(0, 1.03 * scenarios))
+    axes.set_ylim(0, 1.03 * scenarios)
     axes.set_xlabel("target")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    number_targets(axes, targets)
     axes.set_ylabel(f"scenarios that {'execute' if cut else 'track'} it, of {scenarios}")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     name_lines(axes, ends, targets - 1, "{:.0f}")
@@ -130,9 +131,9 @@ def stops(status: Mapping[str, Int8[np.ndarray, "S T"]], *, title: str = "Where 
     if shown:
         axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(shown), frameon=False, labelcolor=INK)
     axes.set_yticks(range(len(status)), list(status))
-    axes.set(xlim=(-1, targets), ylim=(len(status) - 0.5, -0.5))
+    axes.set_ylim(len(status) - 0.5, -0.5)
     axes.set_xlabel("target")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    number_targets(axes, targets)
     plain_axes(axes, grid="x")
     return figure
 
@@ -204,7 +205,7 @@ def _bands(
         axes.plot(index, least, color=INK, linestyle="none", marker=".", markersize=3)
         heading(axes, method, merits.get(method, ""))
         plain_axes(axes)
-    panels[0, 0].xaxis.set_major_locator(MaxNLocator(integer=True))
+    number_targets(panels[0, 0], len(middle))
     outer_labels(panels, len(values), "target", label)
     return figure, panels
 
@@ -223,19 +224,24 @@ def joint_motion(
         joint_step_rad: Length of the steps [rad], by method; NaN where a target is not tracked.
         title: The title of the figure.
     """
-    note = "Left: median, middle half, middle nine tenths and longest of all accepted steps. Right: median by target."
+    note = "Left: median, middle half, middle nine tenths and longest of all steps. Right: median by target"
+    medians = {method: _over_scenarios(values)[1] for method, values in joint_step_rad.items()}
+    cut = any((values < LEAST_STEP).any() for values in medians.values())
+    note += f", at least {LEAST_STEP:g} rad." if cut else "."
     figure = new_figure(max(3.4, 0.42 * len(joint_step_rad) + 1.6), title, note)
     spread, along = figure.subplots(1, 2, width_ratios=(1, 1.1))
     for y, (method, values) in enumerate(joint_step_rad.items()):
         _distribution(spread, y, values, method)
         colour, style = line_of(method)
-        along.plot(np.maximum(_over_scenarios(values)[1], LEAST_STEP), color=colour, linestyle=style, linewidth=1.4)
+        along.plot(np.maximum(medians[method], LEAST_STEP), color=colour, linestyle=style, linewidth=1.4)
     spread.set_yticks(range(len(joint_step_rad)), list(joint_step_rad))
     spread.set(ylim=(len(joint_step_rad) - 0.5, -0.5), xscale="log", xlabel="joint step [rad]")
     along.set(yscale="log", xlabel="target", ylabel="joint step [rad]")
     spread.set_xlim(left=max(spread.get_xlim()[0], LEAST_STEP))
-    along.set_ylim(bottom=spread.get_xlim()[0])
-    along.xaxis.set_major_locator(MaxNLocator(integer=True))
+    number_targets(along, next(iter(joint_step_rad.values())).shape[1])
+    ends = {method: np.flatnonzero(np.isfinite(values)) for method, values in medians.items()}
+    ends = {method: max(medians[method][at[-1]], LEAST_STEP) for method, at in ends.items() if at.size}
+    name_lines(along, ends, along.get_xlim()[1], "{:.2g}")
     decimal(spread.xaxis)
     decimal(along.yaxis)
     plain_axes(spread, grid="x")

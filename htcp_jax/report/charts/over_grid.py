@@ -12,11 +12,10 @@ from htcp_jax.report.charts.style import (
     colour_bar,
     heading,
     line_of,
-    map_height,
     name_lines,
     new_figure,
     outer_labels,
-    panels_by_method,
+    panels_with_maps,
     plain_axes,
 )
 from htcp_jax.report.charts.success import Axis, draw_map, place_values
@@ -32,20 +31,23 @@ class Measure(NamedTuple):
     scale: tuple[float, float] | None = None  # smallest and largest value of the colour scale; None: from the values
 
 
-def over_line(values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure) -> Figure:
+def over_line(
+    values: Mapping[str, Float[np.ndarray, "C"]], axis: Axis, measure: Measure, joined: bool = True
+) -> Figure:
     """Draw values over an axis of a grid, one line per method.
 
     Args:
         values: Values by method, in the unit of `measure`; NaN if unknown.
         axis: The axis.
         measure: The quantity.
+        joined: False to draw points without lines, for random values of the axis.
     """
     figure = new_figure(4.2, measure.title, measure.note)
     axes = figure.subplots()
     at = place_values(axes, axis)
     for method, own in values.items():
         colour, style = line_of(method)
-        axes.plot(at, own, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
+        axes.plot(at, own, color=colour, linestyle=style if joined else "none", marker="o", markersize=4, linewidth=1.8)
     axes.set_xlabel(axis.label)
     axes.set_ylabel(f"{measure.title.lower()} [{measure.unit}]")
     known = {method: own[np.isfinite(own)] for method, own in values.items()}
@@ -66,15 +68,16 @@ def over_map(
         measure: The quantity.
         note: Text to append to the measure's note, below the title.
     """
-    side, note = map_height(len(values), 0.6, rows.values, columns.values), f"{measure.note} {note}".strip()
-    figure, panels = panels_by_method(len(values), side + 0.4, 1.3, measure.title, note)
+    note = f"{measure.note} {note}".strip()
+    figure, panels, most = panels_with_maps(len(values), 0.6, rows.values, columns.values, measure.title, note)
     scale = _colour_scale(values, measure)
     for axes, (method, own) in zip(panels.flat, values.items(), strict=False):
         image = draw_map(
             axes, own, scale, rows, columns, lambda _, value: (measure.form.format(value), {"fontsize": 7.5})
         )
         mean = own[np.isfinite(own)]
-        heading(axes, method, f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed")
+        text = f"mean {measure.form.format(mean.mean())} {measure.unit}" if mean.size else "none timed"
+        heading(axes, method, text, most)
     outer_labels(panels, len(values), columns.label, rows.label)
     ticks = () if measure.scale is None else [part * measure.scale[1] for part in (0, 0.25, 0.5, 0.75, 1)]
     colour_bar(figure, image, panels, measure.unit, ticks)

@@ -12,11 +12,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 INK, QUIET, RULE, PAPER = "#22303c", "#5d6b77", "#dfe3e6", "#ffffff"
 WIDTH = 10.0  # width of every figure [inch]
 ACROSS = 3  # maximum number of panels next to each other
+LEAST_WIDTH, MOST_MAP = 6.0, 5.0  # minimum width of a figure with maps, maximum side of a single map [inch]
+NOTE_CHARACTER = 0.083  # width of a character of a note [inch]
+CHARACTERS = 10.5  # characters of a panel's heading per inch
 
 LineStyle = str | tuple[float, tuple[float, ...]]  # as in matplotlib
 
@@ -89,15 +92,16 @@ def _linear(share: float) -> float:
     return share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
 
 
-def new_figure(height: float, title: str, note: str) -> Figure:
+def new_figure(height: float, title: str, note: str, width: float = WIDTH) -> Figure:
     """Make an empty figure with a title and a note.
 
     Args:
         height: Height of the figure [inch].
         title: The title.
         note: One line below the title on how to read the figure.
+        width: Width of the figure [inch].
     """
-    figure = Figure(figsize=(WIDTH, height), dpi=150, facecolor=PAPER, layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=150, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     space = 0.62 / height
     figure.get_layout_engine().set(rect=(0.005, 0.01, 0.99, 1 - space - 0.01), w_pad=0.06, h_pad=0.06)
@@ -117,19 +121,23 @@ def plain_axes(axes: Axes, grid: str = "y") -> None:
     axes.yaxis.label.set(color=QUIET, fontsize=10)
 
 
-def heading(axes: Axes, name: str, figure_of_merit: str) -> None:
+def heading(axes: Axes, name: str, figure_of_merit: str, most: int | None = None) -> None:
     """Write the heading of a panel.
 
     Args:
         axes: The panel.
         name: The name, above the left end.
         figure_of_merit: The panel's main value as text, above the right end.
+        most: Maximum number of characters of both in one line; None: they fit.
     """
+    name += "\n" * (most is not None and len(name) + len(figure_of_merit) > most)
     axes.set_title(name, loc="left", color=INK, fontsize=10.5, fontweight="bold")
     axes.set_title(figure_of_merit, loc="right", color=QUIET, fontsize=10)
 
 
-def panels_by_method(count: int, row: float, rest: float, title: str, note: str) -> tuple[Figure, np.ndarray]:
+def panels_by_method(
+    count: int, row: float, rest: float, title: str, note: str, width: float = WIDTH
+) -> tuple[Figure, np.ndarray]:
     """Make a figure with one panel per method, ACROSS next to each other, and return it with its panels.
 
     Args:
@@ -138,29 +146,42 @@ def panels_by_method(count: int, row: float, rest: float, title: str, note: str)
         rest: Height of everything else [inch].
         title: The title of the figure.
         note: One line below the title on how to read the figure.
+        width: Width of the figure [inch].
 
     Returns:
         The figure, and its panels (rows, columns); panels after the last method are blank.
     """
     down = -(-count // ACROSS)
-    figure = new_figure(down * row + rest, title, note)
+    figure = new_figure(down * row + rest, title, note, width)
     panels = figure.subplots(down, min(ACROSS, count), squeeze=False, sharex=True, sharey=True)
     for axes in panels.flat[count:]:
         axes.axis("off")
     return figure, panels
 
 
-def map_height(count: int, cell: float, rows: Sized, columns: Sized) -> float:
-    """Return the height of a map, one of several next to each other [inch].
+def panels_with_maps(
+    count: int, cell: float, rows: Sized, columns: Sized, title: str, note: str
+) -> tuple[Figure, np.ndarray, int]:
+    """Make a figure with one map per method, see `panels_by_method`; it is as wide as its maps and its texts.
 
     Args:
         count: The number of maps.
-        cell: Largest width of a column [inch].
-        rows: The rows of the map.
-        columns: The columns of the map.
+        cell: Largest width of a column if there are several maps [inch]; a single map may be twice as wide.
+        rows: The rows of a map.
+        columns: The columns of a map.
+        title: The title of the figure.
+        note: One line below the title on how to read the figure.
+
+    Returns:
+        The figure, its panels, and the number of characters above a panel, see `heading`.
     """
-    width = min(WIDTH / min(ACROSS, count) - 0.5, cell * len(columns) + 0.7)
-    return width * len(rows) / len(columns)
+    across = min(ACROSS, count)
+    cell = min(2 * cell, MOST_MAP / max(len(rows), len(columns))) if count == 1 else cell
+    side = min(WIDTH / across - 0.5, cell * len(columns) + 0.7)
+    width = min(WIDTH, max(LEAST_WIDTH, NOTE_CHARACTER * len(note), across * (side + 0.5) + 1.2))
+    figure, panels = panels_by_method(count, side * len(rows) / len(columns) + 0.4, 1.3, title, note, width)
+    figure.set_layout_engine("compressed", **figure.get_layout_engine().get())  # the cells are square
+    return figure, panels, int(CHARACTERS * side)
 
 
 def colour_bar(figure: Figure, image: ScalarMappable, panels: np.ndarray, label: str, ticks: Sequence[float]) -> None:
@@ -210,8 +231,8 @@ def name_lines(axes: Axes, ends: Mapping[str, float], x: float | int, form: str)
         x: The position of the lines' ends on the horizontal axis.
         form: The format of the values, such as "{:.0f}".
     """
-    low, high = axes.get_ylim()
-    heights = spread_labels({method: (end - low) / (high - low) for method, end in ends.items()}, 0.062)
+    of_panel = axes.transScale + axes.transLimits
+    heights = spread_labels({method: of_panel.transform((x, end))[1] for method, end in ends.items()}, 0.062)
     for method, height in heights.items():
         axes.annotate(
             f"{method}  {form.format(ends[method])}",
@@ -239,6 +260,19 @@ def spread_labels(heights: Mapping[str, float], gap: float) -> dict[str, float]:
         placed[name] = min(placed[name], roof)
         roof = placed[name] - gap
     return placed
+
+
+def number_targets(axes: Axes, targets: int) -> None:
+    """Limit a horizontal axis to the indices of targets, 0 to `targets` - 1, with integer ticks.
+
+    Args:
+        axes: The axes.
+        targets: The number of targets.
+    """
+    axes.set_xlim(-0.01 * targets, 1.01 * targets - 1)
+    ticks = MaxNLocator(integer=True).tick_values(0, max(targets - 1, 1))
+    last = targets - 1 - np.diff(ticks).min() / 2  # later ones would overlap the number of the last target
+    axes.set_xticks([*(tick for tick in ticks if 0 <= tick < last), targets - 1])
 
 
 def decimal(axis) -> None:

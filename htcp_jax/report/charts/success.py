@@ -20,11 +20,10 @@ from htcp_jax.report.charts.style import (
     heading,
     ink_on,
     line_of,
-    map_height,
     name_lines,
     new_figure,
     outer_labels,
-    panels_by_method,
+    panels_with_maps,
     plain_axes,
 )
 
@@ -56,7 +55,11 @@ class Axis(NamedTuple):
 
     @property
     def _full_names(self) -> list[str]:
-        return [value if isinstance(value, str) else f"{value:.6g}" for value in self.values]
+        names = [value if isinstance(value, str) else f"{value:.6g}" for value in self.values]
+        if isinstance(self.values[0], str) or max(map(len, names)) <= LEVEL + 1:
+            return names
+        short = [f"{value:.3g}" for value in self.values]  # random values have many digits
+        return short if len(set(short)) == len(names) else names
 
 
 def success(
@@ -66,9 +69,10 @@ def success(
     executable: Mapping[str, int] | None = None,
     paper: Mapping[str, float] | None = None,
     reachability: int | None = None,
-    title: str = "Success by method",
+    methods: Mapping[str, str] | None = None,
+    title: str = "Targets by method",
 ) -> Figure:
-    """Draw tracked targets in percent, one bar per method with its counts.
+    """Draw tracked and executable targets in percent, one bar per method with its counts.
 
     Args:
         tracked: Number of tracked targets by method.
@@ -77,6 +81,7 @@ def success(
             targets.
         paper: The paper's percentage, by method; drawn as a diamond.
         reachability: Number of targets known to be reachable; drawn as a dashed line.
+        methods: The method of each bar, which determines its colour, if the keys above are other names.
         title: The title of the figure.
     """
     executable = tracked if executable is None else executable
@@ -86,8 +91,9 @@ def success(
     for y, method in enumerate(tracked):
         percent = 100 * tracked[method] / of[method]
         open_ = 100 * executable[method] / of[method]
-        axes.barh(y, percent, height=0.62, color=line_of(method)[0], alpha=0.3)
-        axes.barh(y, open_, height=0.62, color=line_of(method)[0])
+        colour = line_of(method if methods is None else methods[method])[0]
+        axes.barh(y, percent, height=0.62, color=colour, alpha=0.3)
+        axes.barh(y, open_, height=0.62, color=colour)
         text = f"{percent:.2f} %  ({tracked[method]:,} of {of[method]:,})"
         text += f", executable {open_:.2f} %" if cut else ""
         axes.annotate(text, (101.5, y), va="center", color=INK, fontsize=9.5, annotation_clip=False)
@@ -109,7 +115,7 @@ def success_map(
     targets: int,
     *,
     executable: Mapping[str, Float[np.ndarray, "R C"]] | None = None,
-    title: str = "Success by scenario",
+    title: str = "Targets by scenario",
     note: str = "",
 ) -> Figure:
     """Draw one small map of the scenarios per method, coloured by tracked targets.
@@ -125,13 +131,11 @@ def success_map(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    side = map_height(len(tracked), 0.42, rows.values, columns.values)
     note = f"{_counted(tracked, shown, targets)} {note}".strip()
-    figure, panels = panels_by_method(len(tracked), side + 0.4, 1.3, title, note)
+    figure, panels, most = panels_with_maps(len(tracked), 0.42, rows.values, columns.values, title, note)
     for axes, method in zip(panels.flat, tracked, strict=False):
         image = _draw_map(axes, shown[method], tracked[method], rows, columns, targets)
-        share = _percent_pair(shown[method], tracked[method], targets)
-        heading(axes, method if len(share) < 10 else f"{method}\n", share)  # two shares take a line of their own
+        heading(axes, method, _percent_pair(shown[method], tracked[method], targets), most)
     outer_labels(panels, len(tracked), columns.label, rows.label)
     _draw_colour_bar(figure, image, panels, targets, has_not_executable(tracked, shown))
     return figure
@@ -145,7 +149,7 @@ def success_slices(
     targets: int,
     *,
     executable: Mapping[str, Float[np.ndarray, "L R C"]] | None = None,
-    title: str = "Success by scenario",
+    title: str = "Targets by scenario",
     note: str = "",
 ) -> Figure:
     """Draw a row of small maps per method, one map for every value of a third axis; see `success_map`.
@@ -186,7 +190,7 @@ def success_line(
     *,
     executable: Mapping[str, Float[np.ndarray, "C"]] | None = None,
     reachability: Float[np.ndarray, "C"] | None = None,
-    title: str = "Success by scenario",
+    title: str = "Targets by scenario",
     note: str = "",
 ) -> Figure:
     """Draw tracked targets over an axis of a grid, or over a list of scenarios, one line per method.
@@ -202,9 +206,9 @@ def success_line(
         note: Text to append to the note below the title.
     """
     shown = tracked if executable is None else executable
-    lines = "Line: targets to which a proven motion leads from the start; faint: tracked targets."
-    lines = lines if has_not_executable(tracked, shown) else ""
-    notes = f"Tracked targets of {targets}.", lines, note, *dashed_note(reachability)
+    cut = has_not_executable(tracked, shown)
+    lines = f"Of {targets} targets, those to which a proven motion leads from the start; faint: tracked targets."
+    notes = lines if cut else f"Tracked targets of {targets}.", note, *dashed_note(reachability)
     figure = new_figure(4.2, title, " ".join(filter(None, notes)))
     axes = figure.subplots()
     at = place_values(axes, axis)
@@ -216,6 +220,7 @@ def success_line(
             axes.plot(at, tracked[method], color=colour, linestyle=":", linewidth=1.2, alpha=0.6)
         axes.plot(at, values, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.8)
     axes.set_xlabel(axis.label)
+    axes.set_ylabel(_counted_targets(cut))
     axes.set_ylim(0, 1.03 * targets)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     known = {method: values[np.isfinite(values)] for method, values in shown.items()}
@@ -320,7 +325,11 @@ def frame_map(axes: Axes, rows: Axis, columns: Axis) -> None:
 
 def _draw_colour_bar(figure: Figure, image, panels, targets: int, cut: bool) -> None:
     ticks = sorted({round(part * targets) for part in (0, 0.25, 0.5, 0.75, 1)})
-    colour_bar(figure, image, panels, "executable targets" if cut else "tracked targets", ticks)
+    colour_bar(figure, image, panels, _counted_targets(cut), ticks)
+
+
+def _counted_targets(cut: bool) -> str:
+    return "executable targets" if cut else "tracked targets"
 
 
 def _short_number(value: float) -> str:
