@@ -154,7 +154,7 @@ def test_the_open_side_s_half_is_cut_off(replay):
     left = kept_points(replay)
     near_side = replay.sides[0].axis.direction
     assert (replay.cloud[~left] @ near_side).min() >= (replay.cloud[left] @ near_side).max()
-    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() == 1
+    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() <= 1
 
 
 SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min_size=1, max_size=6)

@@ -138,7 +138,7 @@ def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
         pictures = [picture for number, each in enumerate(shown, 1) for picture in _side(each, number)]
     except InputError as error:
         return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
-    captions = "; ".join(f"row {number}: {each.caption}" for number, each in enumerate(shown, 1))
+    captions = "; ".join(f"{row}: {each.caption}" for row, each in zip(("above", "below"), shown, strict=True))
     sides = "" if shown[0].seam else " from two sides"
     note = f"The arm{sides}, with the path in blue. Of {len(replay.target)} targets, {captions}."
     return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
