@@ -159,6 +159,9 @@ class Replay(NamedTuple):
         path = self.target[seam]
         bodies = shown_bodies(self.robot, [seen(each, True) for each in poses])
         scene = ShownScene(self.cloud, path, bodies, self.triangles, self.fixtures.triangles, self.part_axes)
+        if not len(self.triangles) and len(self.cloud):
+            nearest = [int(((self.cloud - point) ** 2).sum(axis=1).argmin()) for point in path]
+            scene = scene._replace(inward=self.surface.normals[nearest])
         sides = sides_in_world = camera_views([scene])
         if self.robot.part_moves:
             sides_in_world = camera_views([_scene_in_world(scene, self.robot, each) for each in poses], moves=True)

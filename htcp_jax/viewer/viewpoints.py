@@ -28,7 +28,7 @@ HIDDEN_PART = 0.8  # weight of the hidden share of the part behind the arm
 HALF = 0.5  # share of the workpiece that is cut off if the path reaches over it
 MOST_HIDDEN = 0.5  # a side shows the plan if less than this share of the path, and of the tool, is hidden or cut off
 IN_FRONT_M = 0.03  # a cut nearer to the path than this removes the wall along the path
-FORESHORTENED, CUT_OFF, CUT, STEEP = 0.3, 0.3, 0.1, 0.03  # weights of the penalties; STEEP: for the steeper camera
+FORESHORTENED, CUT_OFF, CUT, STEEP = 0.3, 1.0, 0.1, 0.03  # weights of the penalties; STEEP: for the steeper camera
 SPACED = 300  # maximum number of points whose distance from the nearest other point is measured
 MOST_POINTS, MOST_RAYS, ALONG = 3000, 40, 5  # maximum numbers of cloud points and of rays; samples of a tool's axis
 SKIN_M = 0.005  # what is less far in front of a point does not hide it: a target is drawn as a bead
@@ -113,6 +113,7 @@ class ShownScene(NamedTuple):
     triangles: Float[np.ndarray, "M 3 3"] = NO_TRIANGLES  # mesh of the workpiece; none: discs at the cloud's points
     fixtures: Float[np.ndarray, "F 3 3"] = NO_TRIANGLES
     part_axes: Float[np.ndarray, "3 3"] = np.eye(3)  # columns: axes of the workpiece's frame
+    inward: Float[np.ndarray, "T 3"] | None = None  # normals of a cloud's wall at the path; None: a mesh, or unknown
 
 
 def flat_side(scene: ShownScene) -> Viewpoint:
@@ -221,13 +222,14 @@ def hidden_targets(scene: ShownScene, at: Viewpoint) -> Bool[np.ndarray, "F T"]:
         at: The viewpoint.
     """
     radius = 1.5 * _spacing(scene.cloud)
-    return _by_arm(scene.arm, scene.path, at.toward) | _by_walls(scene, at, scene.path, radius)
+    return _by_arm(scene.arm, scene.path, at.toward) | _path_by_walls(scene, at, radius)
 
 
 def _sampled(scene: ShownScene) -> ShownScene:
     """Return the scene with a part of the cloud's points and of the targets."""
-    cloud, path = scene.cloud, scene.path
-    return scene._replace(cloud=cloud[:: -(-len(cloud) // MOST_POINTS)], path=path[:: -(-len(path) // MOST_RAYS)])
+    cloud, path, step = scene.cloud, scene.path, -(-len(scene.path) // MOST_RAYS)
+    inward = None if scene.inward is None else scene.inward[::step]
+    return scene._replace(cloud=cloud[:: -(-len(cloud) // MOST_POINTS)], path=path[::step], inward=inward)
 
 
 def _shares(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> list[tuple[float, ...]]:
@@ -250,7 +252,7 @@ def _shares(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> lis
     found = []
     for at in views:
         hides_tool = tool_by_links | _by_walls(scene, at, tool.reshape(-1, 3), radius).reshape(tool.shape[:2])
-        hides_path = (by_arm | _by_walls(scene, at, path, radius)).mean()
+        hides_path = (by_arm | _path_by_walls(scene, at, radius)).mean()
         hidden_tool = hides_tool.mean() if tool.size else 0.0
         hides_tip = (tip_by_arm | _by_walls(scene, at, tips, radius, TIP_SKIN_M)).mean() if len(tips) else 0.0
         share = hides_path + HIDDEN_TIP * hides_tip + HIDDEN_TOOL * hidden_tool
@@ -278,6 +280,12 @@ def cut_depth(cloud: Float[np.ndarray, "P 3"], at: Viewpoint) -> float:
     """Return the distance from the origin of the plane at which the cloud is cut [m], along `Viewpoint.axis`."""
     depth = cloud @ at.axis.direction
     return float(depth.max() - at.cut * np.ptp(depth))
+
+
+def _path_by_walls(scene: ShownScene, at: Viewpoint, radius: float) -> Mask:
+    """Return True for targets that the workpiece or the fixtures hide; a cloud's wall also hides what lies on it."""
+    hides = _by_walls(scene, at, scene.path, radius)
+    return hides if scene.inward is None else hides | (scene.inward @ at.toward < 0)
 
 
 def _by_walls(
