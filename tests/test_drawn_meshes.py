@@ -16,7 +16,7 @@ from htcp_jax.viewer.drawn_meshes import cut_triangles, flat_mesh
 from htcp_jax.viewer.picture_part import Part
 from htcp_jax.viewer.render import _model
 from htcp_jax.viewer.replay import replays_of
-from htcp_jax.viewer.viewpoints import Viewpoint, view_from_side
+from htcp_jax.viewer.viewpoints import PartAxis, Viewpoint, view_from_side
 
 
 def random_triangles(seed: int) -> np.ndarray:
@@ -70,7 +70,8 @@ def test_the_triangles_that_are_drawn_are_those_of_the_file(box):
 
 def test_the_picture_of_a_plan_draws_the_mesh_with_its_area_and_a_cloud_as_points(box):
     plan, stored = box
-    at = Viewpoint(view_from_side(plan.workpiece.cloud, plan.workpiece.path), 0.0, 0.0, False)
+    view = view_from_side(plan.workpiece.cloud, plan.workpiece.path)
+    at = Viewpoint(view, 0.0, 0.0, 0.0, PartAxis("+x", view.near))
     drawn = {}
     for name, part in {"mesh": Part(plan.workpiece.cloud, stored), "cloud": Part(plan.workpiece.cloud)}.items():
         drawn[name] = Figure().subplots()

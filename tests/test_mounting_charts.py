@@ -76,9 +76,20 @@ def test_each_panel_of_the_map_shows_every_mounting_once(tmp_path, d, panels):
         assert sum(scores) == COMPLETE + len(LOST) and ranked == 3 and written(axes)[0] == "1"
 
 
+@pytest.mark.parametrize("d", (1, 3, 6, 9))
+def test_no_heading_of_the_map_is_cut_next_to_long_names_of_bodies(tmp_path, d):
+    bodies = {"link_6_t (tool.torch_3)": 41, "upper_arm_and_counterweight (tool.torch_10)": 23}
+    figure = place_map(read_search(write_search(tmp_path / "made", d)), bodies)
+    figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    headings = [text for axes in figure.axes for text in (axes.title, axes._left_title, axes._right_title)]
+    shown = [text.get_window_extent() for text in (*headings, *figure.texts) if text.get_text()]
+    assert len(shown) == 4 and all(box.x0 >= 0 and box.x1 <= width and box.y1 <= height for box in shown)
+
+
 def test_the_map_counts_what_works_what_nearly_does_and_what_blocks_elsewhere(tmp_path):
     figure = place_map(read_search(write_search(tmp_path / "made", 3)), {"forearm": 7, "tool": 2})
-    bars = {axes.get_title(loc="left"): axes for axes in figure.axes if axes.patches}
+    bars = {axes.get_title(loc="right"): axes for axes in figure.axes if axes.patches}
     words = [label.get_text() for label in bars["mountings"].get_yticklabels()]
     counts = [int(text) for text in written(bars["mountings"])]
     assert words == [

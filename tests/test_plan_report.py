@@ -111,6 +111,16 @@ def test_nothing_is_wider_than_the_page(reported, browser, width):
     page.close()
 
 
+def test_tables_of_two_columns_fit_their_box_at_400_px(reported, browser):
+    page = browser.new_page(viewport={"width": 400, "height": 900})
+    page.goto((reported / "report.html").as_uri())
+    beyond = page.locator(".wide:not(:has(td:nth-child(3)))").evaluate_all(
+        "boxes => boxes.map(each => each.scrollWidth - each.clientWidth)"
+    )
+    assert len(beyond) >= 5 and max(beyond) <= 1
+    page.close()
+
+
 def test_a_plan_that_fails_has_a_report_that_says_where_and_no_program(failed, screenless, tmp_path):
     assert main(["report", str(failed), "--out", str(tmp_path / "report")]) == 0
     page = (tmp_path / "report" / "report.html").read_text()

@@ -15,7 +15,10 @@ from test_json_schemas import fits
 
 from htcp_jax import prove_file
 from htcp_jax.cli import main
+from htcp_jax.cli.prove import unproven_table
 from htcp_jax.motion import start_cause
+from htcp_jax.proving import proof_record
+from htcp_jax.report.charts import proof_chart
 from htcp_jax.runs import columns
 from htcp_jax.status import SegmentStatus
 from htcp_jax.viewer import replays_of_file
@@ -321,9 +324,14 @@ def test_a_refuted_motion_names_its_first_contact_and_then_its_deepest_with_anot
         f"refuted: first contact on lines 3 to 4, {100 * first['place_share']:.0f} % of the way"
     )
     assert f"({first['time_s']:.4g} s)" in first_line
+    place = ", ".join(f"{value:.3f}" for value in first["point_m"])
     assert first_line.endswith(
-        f"{first['body']} and the fixture 'post', {1e3 * first['segment_depth_m']:.3g} mm deep on these lines"
+        f"{first['body']} and the fixture 'post' at ({place}) m, "
+        f"{1e3 * first['segment_depth_m']:.3g} mm deep on these lines"
     )
+    c = np.sqrt(0.5)  # the point is on the surface of the post, which is turned by 45 degrees
+    inside = np.abs(np.array([[c, c, 0], [-c, c, 0], [0, 0, 1]]) @ (np.array(first["point_m"]) - [0.679, 0.679, 0.618]))
+    assert inside.max() == pytest.approx(0.1, abs=1e-5)
     assert second_line.startswith("deepest: lines 4 to 5, ")
     assert second_line.endswith(f"{1e3 * deepest['depth_m']:.3g} mm inside the fixture 'box'")
     # the motion is clear up to this place, and touches there
@@ -359,3 +367,33 @@ def test_the_command_keeps_its_compiled_programs():
     shown = "; print(jax.config.jax_compilation_cache_dir)"
     found = subprocess.run([sys.executable, "-c", code + shown], capture_output=True, text=True)
     assert found.stdout.strip() not in ("", "None"), found.stderr
+
+
+def test_a_group_of_segments_names_each_link_and_obstacle_that_collide_and_the_chart_too(tmp_path, capsys):
+    (tmp_path / "arm.xml").write_text(toy.ARM)
+    bodies = "".join(
+        f'<body name="{name}" pos="{place}" euler="0 0 45"><geom type="box" size="0.1 0.1 0.05"/></body>'
+        for name, place in (("post", "0.679 0.679 0.618"), ("step", "0.36 0.36 0.68"))
+    )
+    (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    job = tmp_path / "job.yaml"
+    job.write_text("robot: {model: arm.xml}\ncell: {model: cell.xml}\n")
+    file = table(tmp_path / "turn.csv", [[turn, 0.8, 0.7, 0.0] for turn in (0.0, 0.6, 1.0)])
+    found = prove_file(file, job)
+    (group,) = proof_record.unproven_groups(found)
+    pairs = proof_record.worst_pairs(found, group)
+    assert [(each.body, each.other) for each in pairs] == [
+        ("capsule tool", "the fixture 'post'"),
+        ("capsule forearm", "the fixture 'step'"),
+    ]
+    assert [each.clearance_m for each in pairs] == sorted(each.clearance_m for each in pairs)
+    assert pairs[0] is found.contacts[group.deepest] and all(each.clearance_m < 0 for each in pairs)
+    assert [row[-1] for row in unproven_table(found).rows] == [f"{each.body}, {each.other}" for each in pairs]
+    above, below = proof_chart(found).axes
+    assert [text.get_text() for text in below.get_legend().get_texts()] == [
+        f"{each.body} and {each.other}" for each in pairs
+    ]
+    # the measured distance is nowhere below the guaranteed lower bound
+    (line,) = (each for each in above.lines if len(each.get_xdata()) > 1)
+    begin = found.proof.verdict == SegmentStatus.VALID
+    assert (line.get_ydata()[: begin.sum()] >= 1e3 * found.proof.clearance_m[begin]).all()

@@ -23,7 +23,7 @@ from htcp_jax.model.kinematics import ArmShape, tcp_position
 from htcp_jax.spec.config import PlanConfig
 from htcp_jax.status import Kind
 from htcp_jax.viewer import Studio, offscreen
-from htcp_jax.viewer.camera import kept_points, nearest_camera, open_side
+from htcp_jax.viewer.camera import kept_points, nearest_camera
 from htcp_jax.viewer.colours import DWELL, FAILED, NEAREST, TargetStyle, rgb, target_styles
 from htcp_jax.viewer.movie import LAST_REPEATS, RATE, Film, write_movie
 from htcp_jax.viewer.playback import STRIDE_M, poses_along
@@ -152,9 +152,9 @@ def test_the_command_tells_of_the_motion(made, screenless, tmp_path, capsys):
 
 def test_the_open_side_s_half_is_cut_off(replay):
     left = kept_points(replay)
-    near_side = open_side(replay).near
+    near_side = replay.sides[0].axis.direction
     assert (replay.cloud[~left] @ near_side).min() >= (replay.cloud[left] @ near_side).max()
-    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() == 1
+    assert 0.2 < left.mean() < 0.8 and kept_points(replay, 0.0).all() and kept_points(replay, 1.0).sum() <= 1
 
 
 SPHERES = st.lists(st.tuples(*[st.floats(-2, 2)] * 3, st.floats(0.01, 0.5)), min_size=1, max_size=6)

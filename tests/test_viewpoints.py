@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from htcp_jax.viewer.viewpoints import (
     ABOVE_RAD,
     ASIDE_RAD,
+    PartAxis,
     ShownBodies,
     ShownScene,
     View,
@@ -55,7 +56,8 @@ def test_an_arm_that_stands_before_the_square_side_is_looked_at_from_another():
     """Viewpoint if the arm covers the square view: another side (regression: the arm hid the part)."""
     scene = ShownScene(WALL, PATH, arm(), triangles=np.full((1, 3, 3), 9.0))
     square = view_from_side(WALL, PATH)
-    before = [hidden_targets(scene, Viewpoint(square, aside, ABOVE_RAD[0], 0.0)).mean() for aside in ASIDE_RAD]
+    axis = PartAxis("+x", square.near)
+    before = [hidden_targets(scene, Viewpoint(square, aside, ABOVE_RAD[0], 0.0, axis)).mean() for aside in ASIDE_RAD]
     assert square.near[0] < -0.9 and min(before) > 0.25  # from the robot's own side, the link hides the path
     for chosen in camera_views([scene]):
         assert hidden_targets(scene, chosen).mean() < 0.1  # the tool hides the target that it touches
@@ -97,7 +99,7 @@ def test_a_part_with_one_open_side_is_seen_from_there_and_stays_whole():
 @given(st.floats(-3, 3), st.floats(0.01, 0.3))
 def test_a_ball_hides_what_is_right_behind_it_and_nothing_else(aside, radius):
     ball = ShownBodies(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.array([radius, radius]), np.array([False, False]))
-    at = Viewpoint(view_from_side(WALL, PATH), aside, 0.2, 0.0)
+    at = Viewpoint(view := view_from_side(WALL, PATH), aside, 0.2, 0.0, PartAxis("+x", view.near))
     across = np.cross(at.toward, [0, 0, 1.0])
     points = np.stack([-at.toward, -at.toward + 2 * radius * across, at.toward])
     scene = ShownScene(np.full((4, 3), 9.0), points, ball, np.full((1, 3, 3), 9.0))
@@ -112,7 +114,7 @@ def test_the_cloud_hides_what_is_behind_it_and_not_what_lies_on_it():
     path = np.array([[-0.5, 0.01, 0.02], [0.0, 0.01, 0.02], [0.5, 0.01, 0.02]])
     np.testing.assert_allclose(view.near, [1, 0, 0], atol=1e-12)
     for cut, shares in ((0.0, [True, False, False]), (0.5, [True, False, False])):
-        found = hidden_targets(ShownScene(plate, path, none), Viewpoint(view, 0.0, 0.0, cut))
+        found = hidden_targets(ShownScene(plate, path, none), Viewpoint(view, 0.0, 0.0, cut, PartAxis("+x", view.near)))
         np.testing.assert_array_equal(found, [shares])
 
 
@@ -164,10 +166,10 @@ def walls(height: float) -> list[np.ndarray]:
 def shows_tip(scene: ShownScene, at: Viewpoint) -> bool:
     """Walk from the tip to the camera in steps of 1 mm: no step is in a body, or in the part in front of the cut."""
     steps = scene.arm.tip[0] + 0.001 * np.arange(2, 600)[:, None] * at.toward
-    depth = scene.cloud @ at.view.near
+    depth = scene.cloud @ at.axis.direction
     for corners in scene.triangles.reshape(-1, 36, 3):
         inside = ((steps > corners.min(axis=0)) & (steps < corners.max(axis=0))).all(axis=1)
-        if (inside & (steps @ at.view.near <= depth.max() - at.cut * np.ptp(depth))).any():
+        if (inside & (steps @ at.axis.direction <= depth.max() - at.cut * np.ptp(depth))).any():
             return False
     for p, q, radius in zip(scene.arm.p[0], scene.arm.q[0], scene.arm.radius, strict=True):
         share = np.clip((steps - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
@@ -182,7 +184,7 @@ def test_a_fillet_on_an_open_plate_is_seen_complete_with_its_tip_from_two_sides(
     assert not first.cut and not second.cut and shows_tip(scene, first) and shows_tip(scene, second)
     assert (np.array([first.toward[1], second.toward[1]]) < 0.35).all()  # not from behind the rib
     behind = View(np.array([-1.0, 0, 0]), np.array([0.0, 0, 1]), np.array([0.0, 1, 0]))
-    assert not shows_tip(scene, Viewpoint(behind, 0.0, ABOVE_RAD[0], 0.0))
+    assert not shows_tip(scene, Viewpoint(behind, 0.0, ABOVE_RAD[0], 0.0, PartAxis("+y", behind.near)))
 
 
 def test_a_part_that_shows_the_seam_over_its_walls_is_not_cut():
@@ -196,13 +198,27 @@ def test_a_cut_in_front_of_a_fillet_keeps_the_plate_next_to_the_seam():
     chosen = camera_views([scene])
     assert all(each.cut for each in chosen) and all(shows_tip(scene, each) for each in chosen)
     for each in chosen:
-        depth = scene.cloud @ each.view.near
+        depth = scene.cloud @ each.axis.direction
         cut = depth.max() - each.cut * np.ptp(depth)
-        assert (scene.path @ each.view.near).max() + 0.029 < cut or not each.cut
+        assert (scene.path @ each.axis.direction).max() + 0.029 < cut or not each.cut
+
+
+@given(st.floats(-3, 3))
+def test_a_cut_is_perpendicular_to_an_axis_of_the_turned_part_and_says_which(turn):
+    c, s = np.cos(turn), np.sin(turn)
+    axes = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    scene = fillet(*walls(0.6))
+    cloud, path, mesh = scene.cloud @ axes.T, scene.path @ axes.T, scene.triangles @ axes.T
+    bodies = scene.arm._replace(p=scene.arm.p @ axes.T, q=scene.arm.q @ axes.T, tip=scene.arm.tip @ axes.T)
+    for each in camera_views([ShownScene(cloud, path, bodies, mesh, part_axes=axes)]):
+        sign, name = each.axis.name
+        np.testing.assert_allclose(each.axis.direction, (1 if sign == "+" else -1) * axes[:, "xyz".index(name)])
+        assert each.cut and f"perpendicular to its {name} axis" in each.cut_text
+        assert each.view.near @ each.axis.direction > 0.99  # the camera looks at the plane of the cut
 
 
 def test_the_same_plan_is_always_looked_at_from_the_same_side():
     first, second = (camera_views([ShownScene(WALL.copy(), PATH.copy(), arm())]) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.toward, other.toward)
-        assert one[1:] == other[1:]
+        assert one[1:4] == other[1:4] and one.axis.name == other.axis.name

@@ -263,18 +263,22 @@ def _indexed_text(found: FileProof, axis: IndexedTravel) -> str:
 
 
 def unproven_table(found: FileProof) -> Table:
-    """Return the table of refuted and undecided segments; consecutive ones with the same result are one row."""
+    """Return the table of refuted and undecided segments.
+
+    Consecutive segments with the same result are one group, which has a row for each of its deepest pairs of bodies.
+    """
     line, rows = found.motion.line, []
     groups = proof_record.unproven_groups(found)
     for group in groups[:LISTED]:
-        contact = None if group.deepest is None else found.contacts[group.deepest]
         row = {f"{found.counted}s": f"{line[group.first]} to {line[group.last + 1]}", "verdict": group.verdict.words}
         row |= {"cause": group.cause.words or None}
-        if contact is not None and group.deepest is not None:
-            time_s = found.time_at(group.deepest, contact.place)
-            row |= {"deepest": f"{line[group.deepest]} to {line[group.deepest + 1]}", "place_s": time_s}
-            row |= {"place_percent": 100 * contact.place if time_s is None else None}
-            row |= {"depth_mm": -1e3 * contact.clearance_m, "bodies": f"{contact.body}, {contact.other}"}
-        rows.append(row)
+        pairs = proof_record.worst_pairs(found, group)
+        for contact in pairs:
+            time_s = found.time_at(contact.segment, contact.place)
+            place = {"deepest": f"{line[contact.segment]} to {line[contact.segment + 1]}", "place_s": time_s}
+            place |= {"place_percent": 100 * contact.place if time_s is None else None}
+            bodies = f"{contact.body}, {contact.other}"
+            rows.append(row | place | {"depth_mm": -1e3 * contact.clearance_m, "bodies": bodies})
+        rows += [] if pairs else [row]
     keys = f"{found.counted}s", "verdict", "cause", "deepest", "place_percent", "place_s", "depth_mm", "bodies"
     return Table.of("unproven", keys, rows).without_empty()

@@ -110,9 +110,11 @@ def render(
     if feed_m_s is not None:
         made = program_of(found, feed_m_s, replay.method, scenario, retract=not one_way, overrides=overrides or ())
     files = _files(out, movie, f"scenario-{scenario}-{replay.method}")
+    cut = ""
     with output_files.written_whole(files.folder) as folder:
         if files.picture:
-            with Studio(replay, width, _height(width), close, from_part=from_part) as studio:
+            with Studio(replay.seen_at([shown]), width, _height(width), close, from_part=from_part) as studio:
+                cut = studio.cut_text
                 Image.fromarray(studio.still(shown)).save(folder / files.picture, optimize=True)
         if files.movie:
             half = 2 * (width // 4)
@@ -120,7 +122,7 @@ def render(
             with Studio(replay, half, _height(half), **look) as studio, progress_bar("frames") as reported:
                 film = studio.movie() if made is None else _film(studio, made, speed or 1.0)
                 movies.write_movie(folder / files.movie, film, reported)
-    _print_files(replay, shown if files.picture else None, files.names, made, speed or 1.0, as_json)
+    _print_files(replay, shown if files.picture else None, files.names, made, speed or 1.0, cut, as_json)
     return 0
 
 
@@ -167,6 +169,7 @@ def _print_files(
     files: list[str],
     made: PlanProgram | None,
     speed: float,
+    cut: str,
     as_json: bool,
 ) -> None:
     tracked = f"{replay.tracked} of {len(replay.target)}"
@@ -180,6 +183,8 @@ def _print_files(
     facts = {**replay.summary.facts(), "targets tracked": tracked}
     if shown is not None:
         facts["the arm is at"] = f"target {shown}"
+    if cut:
+        facts["part"] = cut
     if replay.failed is not None:
         facts["failed at"] = f"target {replay.failed}"
     if replay.obstruction is not None:

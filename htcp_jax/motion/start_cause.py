@@ -42,6 +42,7 @@ class Attempt(NamedTuple):
     other: str  # name of the obstacle that it overlaps
     point: Float[np.ndarray, "3"]  # nearest point of this obstacle, world [m]
     depth_m: float  # depth of the overlap; negative: the clearance
+    link: int  # number of the link to which the body belongs
 
     @property
     def description(self) -> str:
@@ -174,17 +175,27 @@ def refuse_standing_overlaps(problem: Problem) -> None:
 
 
 def closest_bodies(problem: Problem, x: Float[np.ndarray, "N"]) -> Attempt:
-    """Return the bodies with the smallest clearance at x, as labels.
+    """Return the bodies with the smallest clearance at x, as labels; see `closest_pairs`."""
+    return closest_pairs(problem, x, 1)[0]
+
+
+def closest_pairs(problem: Problem, x: Float[np.ndarray, "N"], count: int) -> list[Attempt]:
+    """Return the pairs of a link and an obstacle with the smallest clearances at x, the smallest first.
 
     Args:
         problem: The problem; its first scenario is measured.
         x: The configuration [rad or m].
+        count: Maximum number of pairs.
     """
-    found = _Measured.at(problem, 0, x[None])
-    row = int(found.distance[0].argmin())
-    name, other = found.pair(row, 0)
-    label = robots.capsule_label(problem.robot, name)
-    return Attempt(x, label, other, found.points[0, row], -float(found.distance[0, row]))
+    found, pairs = _Measured.at(problem, 0, x[None]), dict[tuple[int, str], Attempt]()
+    for row in found.distance[0].argsort(kind="stable").tolist():
+        name, other = found.pair(row, 0)
+        link, label = found.link(row), robots.capsule_label(problem.robot, name)
+        attempt = Attempt(x, label, other, found.points[0, row], -float(found.distance[0, row]), link)
+        pairs.setdefault((link, other), attempt)
+        if len(pairs) == count:
+            break
+    return list(pairs.values())
 
 
 def clearances_at(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n"]:
@@ -207,8 +218,8 @@ class _Measured:
         self._problem, self._s, self.x, self.distance, self.points = problem, s, x, distance, points
         self._longer = longer  # the arm with a tool extension [m]
         self._scene = Scene(problem.robot, problem.obstacles, problem.task)
-        links = np.array(problem.robot.capsule_link)
-        self.stands: Bool[np.ndarray, "R"] = links[np.array(self._scene.rows.body)] < 0
+        self._links = np.array(problem.robot.capsule_link)[np.array(self._scene.rows.body)]
+        self.stands: Bool[np.ndarray, "R"] = self._links < 0
 
     @classmethod
     def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
@@ -224,6 +235,10 @@ class _Measured:
         found = problem.checkers[0].executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
         longer = cache(partial(robots.lengthen_tool, problem.robot))
         return [cls(problem, s, *(table[k : k + 1] for table in (x, *found)), longer) for k, s in enumerate(scenarios)]
+
+    def link(self, row: int) -> int:
+        """Return the number of the link to which a row's body belongs; negative: the base."""
+        return int(self._links[row])
 
     def pair(self, row: int, k: int) -> tuple[str, str]:
         """Return the name of a row's body, and the name of the obstacle nearest to it at configuration k."""
@@ -281,7 +296,7 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         f"{', '.join(named)}"
     )
     row = int(deepest[k])
-    attempt = Attempt(found.x[k], *found.pair(row, k), found.points[k, row], depth_m)
+    attempt = Attempt(found.x[k], *found.pair(row, k), found.points[k, row], depth_m, found.link(row))
     return StartCause(text, body, other, depth_m, attempt=attempt)
 
 

@@ -20,7 +20,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.io.motions import MotionFile, controller_of, read_motion
 from htcp_jax.io.motions import polynomials as polynomials_of
 from htcp_jax.model import Robot
-from htcp_jax.motion import Problem
+from htcp_jax.motion import Problem, start_cause
 from htcp_jax.proving.curves import JointCurves, corners, corners_in_shares, polynomials
 from htcp_jax.proving.motion_limits import LimitUse, limit_uses
 from htcp_jax.proving.path_deviation import (
@@ -41,6 +41,7 @@ from htcp_jax.spec import ErrorsConfig, ObstacleKind, TaskRowKind
 from htcp_jax.status import SegmentStatus
 
 MOST_CONTACTS = 200  # refuted and undecided segments of which the deepest contact is measured
+MOST_MEASURED = 2000  # paths at whose begin the clearance is measured
 WITHOUT_LIMITS = "the joint limits are not checked, as the file has no joint values"
 Progress = Callable[[str, int, int], None]
 
@@ -69,6 +70,8 @@ class FileProof:
     seam_segments: SeamSegments | None = None  # seams of the segments; None: one seam, or no joint values
     # where a refuted motion first collides or, if it never does, is first below the margin; None: it is not refuted
     first: Contact | None = None
+    # D at the begin of each of the p paths of `curves` [m]; NaN: not measured; None: the file has no joint values
+    measured_m: Float[np.ndarray, "p"] | None = None
 
     @property
     def seams(self) -> tuple[SeamProof, ...]:
@@ -233,6 +236,9 @@ def prove_file(
             required = float(np.broadcast_to(margins, len(proof.verdict))[start])
             limit_m = 0.0 if proof.verdict[start] == SegmentStatus.IN_COLLISION else required
             first = first_contact(problem, curves, start, limit_m) or contacts_by[start]
+        measured_m = np.full(len(curves.segment), np.nan)
+        rows = np.unique(np.linspace(0, len(measured_m) - 1, min(len(measured_m), MOST_MEASURED)).round().astype(int))
+        measured_m[rows] = start_cause.clearances_at(problem, curves.coefficients[rows, 0])
         limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(
@@ -246,6 +252,7 @@ def prove_file(
         error_scale=scale,
         seam_segments=by_seam,
         first=first,
+        measured_m=measured_m,
     )
 
 

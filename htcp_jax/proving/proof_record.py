@@ -11,7 +11,7 @@ from htcp_jax.io import arrays
 from htcp_jax.proving.file_proof import FileProof
 from htcp_jax.proving.motion_limits import LimitUse
 from htcp_jax.proving.stated_errors import errors_record, scale_text
-from htcp_jax.proving.worst import Contact
+from htcp_jax.proving.worst import PAIRS, Contact
 from htcp_jax.runs import columns, provenance
 from htcp_jax.status import SegmentStatus, UndecidedCause
 from htcp_jax.system import files, output_files
@@ -97,6 +97,20 @@ def unproven_groups(found: FileProof) -> list[UnprovenGroup]:
     return sorted(groups, key=lambda each: _rank(found, each))
 
 
+def worst_pairs(found: FileProof, group: UnprovenGroup) -> list[Contact]:
+    """Return the deepest contact of each link with each obstacle in a group, the deepest first; at most PAIRS.
+
+    A pair other than the deepest one is included if its clearance is less than required.
+    """
+    pairs = dict[tuple[int, str], Contact]()
+    contacts = [found.contacts[k] for k in range(group.first, group.last + 1) if k in found.contacts]
+    every = [each for contact in contacts for each in (contact, *contact.others)]
+    for k, each in enumerate(sorted(every, key=lambda each: each.clearance_m)):
+        if k == 0 or each.clearance_m <= found.required_m(each.segment):
+            pairs.setdefault((each.link, each.other), each)
+    return list(pairs.values())[:PAIRS]
+
+
 def _rank(found: FileProof, group: UnprovenGroup) -> tuple[bool, float]:
     clearance = math.inf if group.deepest is None else found.contacts[group.deepest].clearance_m
     return group.verdict == SegmentStatus.UNDECIDED, clearance
@@ -133,7 +147,8 @@ def headline(found: FileProof) -> str:
     if (first := found.first) is not None:
         is_hit = found.proof.verdict[first.segment] == SegmentStatus.IN_COLLISION
         what = "first contact" if is_hit else "first below the margin"
-        text = f"{found.verdict}: {what} on {_where(found, first.segment, first.place)}: {first.body} and {first.other}"
+        where = _where(found, first.segment, first.place)
+        text = f"{found.verdict}: {what} on {where}: {first.body} and {first.other} {first.at}"
         deepest = found.contacts[first.segment]
         if first.segment == decisive_segment(found):
             return text
@@ -258,7 +273,7 @@ def _contact_record(found: FileProof, contact: Contact | None) -> dict[str, Any]
     k, line = contact.segment, found.motion.line
     where = {"segment": k, "line_begin": int(line[k]), "line_end": int(line[k + 1])}
     where |= {"place_share": contact.place, "time_s": found.time_at(k, contact.place)}
-    bodies = {"body": contact.body, "other": contact.other}
+    bodies = {"body": contact.body, "other": contact.other, "point_m": contact.point.tolist()}
     return where | bodies | {"depth_m": -contact.clearance_m, "segment_depth_m": -found.contacts[k].clearance_m}
 
 

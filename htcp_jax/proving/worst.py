@@ -11,6 +11,7 @@ from htcp_jax.proving.curves import JointCurves
 
 PLACES = 65  # configurations on a path that are measured first
 ROUNDS = 4  # times that the neighbourhood of the deepest one is measured again
+PAIRS = 3  # maximum number of pairs of bodies that are named at a configuration
 
 
 class Contact(NamedTuple):
@@ -22,12 +23,20 @@ class Contact(NamedTuple):
     body: str  # label of the body
     other: str  # name of the obstacle or the other body
     clearance_m: float  # D; below 0 in collision [m]
+    link: int  # number of the link to which the body belongs
+    point: Float[np.ndarray, "3"]  # nearest point of the obstacle or the other body, world [m]
     is_capsule: bool = False  # True: a depth is that of the capsule about a convex piece, an upper bound
+    others: tuple["Contact", ...] = ()  # next pairs of bodies at this configuration, the smallest clearance first
 
     @property
     def depth(self) -> str:
         """The depth as text."""
         return f"{'at most ' if self.is_capsule else ''}{-1e3 * self.clearance_m:.3g} mm"
+
+    @property
+    def at(self) -> str:
+        """The point as text."""
+        return f"at ({', '.join(f'{value:.3f}' for value in self.point)}) m"
 
 
 def deepest_contact(problem: Problem, curves: JointCurves, segment: int) -> Contact:
@@ -114,5 +123,9 @@ def _measured(
 
 
 def _contact(problem: Problem, segment: int, place: float, x: np.ndarray, clearance_m: float) -> Contact:
-    bodies = start_cause.closest_bodies(problem, x)
-    return Contact(int(segment), place, x, bodies.body, bodies.other, clearance_m, problem.robot.pieces is not None)
+    is_capsule = problem.robot.pieces is not None
+    first, *others = (
+        Contact(int(segment), place, x, pair.body, pair.other, -pair.depth_m, pair.link, pair.point, is_capsule)
+        for pair in start_cause.closest_pairs(problem, x, PAIRS)
+    )
+    return first._replace(clearance_m=clearance_m, others=tuple(others))

@@ -70,9 +70,8 @@ class OpenedScene:
             return None
         replay = replays.replay(number, method)
         plans = self._plans[method].rows([number]).narrowed()
-        return viewer.draw_cell(
-            replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures, replay.triangles
-        )
+        part = replay.triangles, replay.part_axes
+        return viewer.draw_cell(replay.robot, replay.cloud, replay.x[:1], plans, title, replay.fixtures, *part)
 
     def reach_picture(self, numbers: Int[np.ndarray, "S"], reach: Int[np.ndarray, "S T"], name: str) -> "Figure | None":
         """Draw the workpiece with its targets coloured by reach; return None if the scene cannot be read.

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -106,28 +106,63 @@ def _program(plan: ReportedPlan, folder: Path, feed: str | None) -> tuple[PlanPr
         return None, f"Not timed: {error}."
 
 
+class _Shown(NamedTuple):
+    """The arm at a target, from a side."""
+
+    replay: Replay
+    side: int  # see `Studio`
+    target: int
+    seam: str  # name of the seam; empty if the job has a single one
+
+    @property
+    def at(self) -> str:
+        """The target as text."""
+        return f"target {self.target}" + (f", on the seam {self.seam}" if self.seam else "")
+
+    @property
+    def caption(self) -> str:
+        """The target and the cut as text."""
+        cut = self.replay.sides[self.side].cut_text
+        return self.at + (f", with the part {cut}" if cut else "")
+
+
 def _pictures(plan: ReportedPlan, name: str) -> list[Block]:
-    """Return pictures from two sides, each of the whole arm and close up; without OpenGL, the picture of the plan."""
+    """Return pictures of the whole arm, each next to one close up; without OpenGL, the picture of the plan."""
     replay = replays_of(name, plan).replay(0, plan.job.method)
-    at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
-    replay = replay.seen_at([at])
+    shown = _shown(plan, replay)
     try:
-        pictures = [each for side in (0, 1) for each in _side(replay, side, at)]
+        pictures = [picture for number, each in enumerate(shown, 1) for picture in _side(each, number)]
     except InputError as error:
         return [f"No rendered pictures: {error}.", Picture("plan", plan.figure(), "The arm in the workpiece")]
-    cut = " The part of the workpiece that would hide it is cut off." if any(each.cut for each in replay.sides) else ""
-    note = f"The arm at target {at} of {len(replay.target) - 1}, from two sides, with the path in blue.{cut}"
+    captions = "; ".join(f"{row}: {each.caption}" for row, each in zip(("above", "below"), shown, strict=True))
+    sides = "" if shown[0].seam else " from two sides"
+    note = f"The arm{sides}, with the path in blue. Of {len(replay.target)} targets, {captions}."
     return [f"{note} The purple ball is at the minimum guaranteed clearance.", *pictures]
 
 
-def _side(replay: Replay, side: int, at: int) -> list[Picture]:
+def _shown(plan: ReportedPlan, replay: Replay) -> list[_Shown]:
+    """Return the failed target, or the middle of the path, from two sides; of several seams, the first and the last."""
+    begins = [0, *plan.plans.seam_begins, len(replay.target)]
+    if replay.failed is None and len(begins) > 2:
+        found = []
+        for first, end in (begins[:2], begins[-2:]):
+            middle, seam = (max(first, replay.path) + end - 1) // 2, slice(max(first, replay.path), end)
+            name = plan.job.workpiece.seams[int(plan.plans.seam_of_targets[middle])].name
+            found.append(_Shown(replay.seen_at([middle], seam), 0, middle, name))
+        return found
+    at = max((replay.path + replay.tracked - 1) // 2, 0) if replay.failed is None else replay.failed
+    replay = replay.seen_at([at])
+    return [_Shown(replay, side, at, "") for side in (0, 1)]
+
+
+def _side(shown: _Shown, number: int) -> list[Picture]:
     """Return pictures of the whole arm and of the workpiece close up, which are next to each other."""
     pictures = []
     for name, close in (("arm", False), ("close", True)):
-        with Studio(replay, *SIZE, close=close, side=side) as studio:
-            image = Image.fromarray(studio.still(at))
+        with Studio(shown.replay, *SIZE, close=close, side=shown.side) as studio:
+            image = Image.fromarray(studio.still(shown.target))
         what = "The workpiece close up" if close else "The arm"
-        pictures.append(Picture(f"{name}-{side + 1}", image, f"{what} at target {at}, from side {side + 1}", half=True))
+        pictures.append(Picture(f"{name}-{number}", image, f"{what} at {shown.caption}", half=True))
     return pictures
 
 

@@ -68,7 +68,7 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     for row, what in zip(grid, ("capsules", "convex pieces"), strict=False):
         for axes, (heading, flat) in zip(row, SIDES.items(), strict=True):
             _draw_side(axes, arm, model, data, flat, scale, pieces=what != "capsules")
-            axes.set_title(f"{what}, {heading}", color=INK, fontsize=12, loc="left")
+            axes.set_title(f"{what},\n{heading}", color=INK, fontsize=12, loc="left")
     grid[0, 0].get_gridspec().set_width_ratios([np.ptp(axes.get_xlim()) for axes in grid[0]])  # equal scales
     has = {DRAWN: True, OWN: any(cover.own for cover in arm.covers.values()), EXCESS(0.5): bool(excess)}
     handles = [Patch(color=colour, label=text) for colour, text in LEGEND.items() if has.get(colour, has_pieces)]

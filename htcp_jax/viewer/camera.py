@@ -14,6 +14,7 @@ from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View, Viewpoint
 
 FILLED = 0.94  # maximum share of the picture's width or height that the objects fill
+AROUND, LEAST_AROUND_M = 0.5, 0.05  # distance from the path's box in a close view: share of its diagonal, and minimum
 
 
 class CameraPose(NamedTuple):
@@ -35,7 +36,7 @@ def viewpoint_of(replay: Replay, from_part: bool = True, side: int = 0) -> Viewp
 
 
 def open_side(replay: Replay, from_part: bool = True) -> View:
-    """Return the side from which the workpiece is cut open, if it is cut.
+    """Return the best side's view.
 
     Args:
         replay: The plan.
@@ -67,9 +68,10 @@ def kept_points(
     Args:
         replay: The plan.
         share: Share of the cloud's extent that is removed.
-        direction: Unit direction from the cloud's centre to the removed side; None: the open side.
+        direction: Unit direction from the cloud's centre to the removed side; None: the part's axis towards the open
+            side.
     """
-    near = open_side(replay).near if direction is None else direction
+    near = viewpoint_of(replay).axis.direction if direction is None else direction
     return replay.cloud @ near <= cut_plane(replay, share, near)
 
 
@@ -101,7 +103,8 @@ def camera_pose(
         poses: The poses, relative to the chain's root.
         fovy_rad: Vertical field of view [rad].
         aspect: Width / height of the picture.
-        close: True to leave the arm's links and the targets before the path out of account.
+        close: True to leave the arm's links, the targets before the path and points of the cloud far from it out of
+            account.
         from_part: True to draw a moving part at rest; False to draw the world at rest.
         side: See `viewpoint_of`.
     """
@@ -111,7 +114,12 @@ def camera_pose(
     bodies = on_tool if close else np.ones_like(on_tool)
     ends = np.concatenate([arms.p[:, bodies], arms.q[:, bodies]])
     radii = np.broadcast_to(np.asarray(replay.robot.capsule_radius)[bodies], ends.shape[:2])
-    points = np.concatenate([replay.cloud, replay.target[replay.path if close else 0 :]])
+    cloud, path = replay.cloud, replay.target[replay.path if close else 0 :]
+    if close and len(path):
+        low, high = path.min(axis=0), path.max(axis=0)
+        wide = np.maximum(AROUND * np.linalg.norm(high - low), LEAST_AROUND_M)
+        cloud = cloud[((cloud >= low - wide) & (cloud <= high + wide)).all(axis=1)]
+    points = np.concatenate([cloud, path])
     if any(pose.T_root is not AT_REST for pose in poses):  # includes the moving part's bounding box in all poses
         box = np.array(list(itertools.product(*np.stack([points.min(axis=0), points.max(axis=0)], axis=1))))
         points = np.concatenate([moved(box, pose.T_root) for pose in poses])

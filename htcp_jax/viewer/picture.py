@@ -56,7 +56,7 @@ from htcp_jax.viewer.colours import (
 )
 from htcp_jax.viewer.normal_glyphs import NO_GLYPHS, NormalGlyphs
 from htcp_jax.viewer.picture_part import Part
-from htcp_jax.viewer.viewpoints import NO_TRIANGLES, ShownScene, View, flat_side
+from htcp_jax.viewer.viewpoints import ShownScene, View, flat_side
 from htcp_jax.viewer.workcell import shown_triangles
 
 THINNEST_M = 1e-5  # half of the width at which a flat shape is drawn
@@ -109,7 +109,7 @@ def draw_plan(
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, y=0.985, ha="left")
     grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios, width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
-    part = Part(moved(workpiece.shown, T), moved(shown_triangles(workpiece), T))
+    part = Part(workpiece.shown, shown_triangles(workpiece)).moved(T)
     attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
     x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
     drawn = _draw_scene(figure, grid, robot, part, plans, row, x_start, obstruction, fixtures, seams)
@@ -166,7 +166,7 @@ def _draw_scene(
         wall, targets, others = part.moved(T), moved(plans.target[row], T), fixtures.placed(T)
         if column == 0 or robot.part_moves:  # else both views are the same
             bodies = shown_bodies(robot, frames[-1:])
-            at = flat_side(ShownScene(wall.cloud, targets, bodies, wall.triangles, others.triangles))
+            at = flat_side(ShownScene(wall.cloud, targets, bodies, wall.triangles, others.triangles, wall.axes))
         view = at.view
         wall.draw(axes, at)
         _draw_fixtures(axes, view, others)
@@ -180,7 +180,7 @@ def _draw_scene(
         _set_limits(axes, view.flat(wall.cloud) if column else None, others.floor_m)
         _draw_triad(axes, view)
         azimuth = round(np.degrees(np.arctan2(view.near[1], view.near[0])))
-        _heading(axes, f"{heading}, seen from azimuth {azimuth}°")
+        _heading(axes, f"{heading}, seen from azimuth {azimuth}°{', ' * bool(at.cut)}{at.cut_text}")
         drawn.append((view, T))
     return drawn
 
@@ -191,8 +191,9 @@ def draw_cell(
     x_start: Float[np.ndarray, "1 N"],
     plans: Plans,
     title: str,
-    fixtures: surface.WorldGeometry = surface.NOTHING,
-    triangles: Float[np.ndarray, "M 3 3"] = NO_TRIANGLES,
+    fixtures: surface.WorldGeometry,
+    triangles: Float[np.ndarray, "M 3 3"],
+    part_axes: Float[np.ndarray, "3 3"],
 ) -> Figure:
     """Draw the arm in the workpiece, and the other obstacles.
 
@@ -204,6 +205,7 @@ def draw_cell(
         title: The title of the figure.
         fixtures: The other obstacles.
         triangles: Mesh of the workpiece, world [m]; none for a cloud.
+        part_axes: Columns: axes of the workpiece's frame in the world.
 
     Returns:
         The figure, to be saved with `figure.savefig(path)`.
@@ -212,7 +214,7 @@ def draw_cell(
     FigureCanvasAgg(figure)
     figure.suptitle(title, color=INK, fontsize=16, fontweight="bold", x=0.015, ha="left")
     grid = figure.add_gridspec(1, 2, width_ratios=(1.12, 1))
-    _draw_scene(figure, grid, robot, Part(cloud, triangles), plans, 0, x_start, fixtures=fixtures)
+    _draw_scene(figure, grid, robot, Part(cloud, triangles, part_axes), plans, 0, x_start, fixtures=fixtures)
     return figure
 
 

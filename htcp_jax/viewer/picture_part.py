@@ -25,10 +25,11 @@ class Part(NamedTuple):
 
     cloud: Float[np.ndarray, "P 3"]
     triangles: Float[np.ndarray, "M 3 3"] = NO_TRIANGLES  # its mesh; none: the points are drawn
+    axes: Float[np.ndarray, "3 3"] = np.eye(3)  # columns: axes of its frame
 
     def moved(self, T: Float[np.ndarray, "4 4"]) -> "Part":
         """Return the workpiece transformed by T [m]."""
-        return Part(*(arm_pose.moved(each, T) for each in self))
+        return Part(arm_pose.moved(self.cloud, T), arm_pose.moved(self.triangles, T), T[:3, :3] @ self.axes)
 
     def draw(self, axes: Axes, at: Viewpoint) -> None:
         """Draw what remains of the workpiece after a cut, the farthest first.
@@ -41,7 +42,7 @@ class Part(NamedTuple):
 
     def _draw_points(self, axes: Axes, at: Viewpoint) -> None:
         view, depth = at.view, self.cloud @ at.view.near
-        behind = np.flatnonzero(depth <= cut_depth(self.cloud, at))
+        behind = np.flatnonzero(self.cloud @ at.axis.direction <= cut_depth(self.cloud, at))
         behind = behind[np.argsort(depth[behind])]
         flat = view.flat(self.cloud[behind])
         look = {"linestyle": "", "marker": "o", "markersize": np.sqrt(1.2), "markeredgewidth": 0, "rasterized": True}
@@ -51,7 +52,7 @@ class Part(NamedTuple):
 
     def _draw_mesh(self, axes: Axes, at: Viewpoint) -> None:
         near, depth = at.view.near, self.cloud @ at.view.near
-        kept = cut_triangles(self.triangles, near, cut_depth(self.cloud, at)) if at.cut else self.triangles
+        kept = cut_triangles(self.triangles, at.axis.direction, cut_depth(self.cloud, at)) if at.cut else self.triangles
         kept = surface.pieces(kept, float(np.ptp(self.cloud, axis=0).max()) / SORTED, "picture")
         height = kept.mean(axis=1) @ near
         order = np.argsort(height)

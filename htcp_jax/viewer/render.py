@@ -96,6 +96,11 @@ class Studio:
         """Width of a frame [pixels]."""
         return self._model.vis.global_.offwidth
 
+    @property
+    def cut_text(self) -> str:
+        """The cut of the workpiece as text, see `Viewpoint.cut_text`."""
+        return viewpoint_of(self._replay, self._from_part, self._side).cut_text
+
     def still(self, target: int) -> UInt8[np.ndarray, "H W 3"]:
         """Render the arm at a target, with all targets coloured by status."""
         pose = pose_at(self._replay, target)
@@ -219,7 +224,7 @@ def _colliding_geoms(replay: Replay, model: mujoco.MjModel) -> list[tuple[int, l
 
 def _add_part(spec: mujoco.MjSpec, part: mujoco.MjsBody, replay: Replay, corners: int, at: Viewpoint) -> None:
     """Add the workpiece, or its half behind the cut: its own triangles, or discs of a cloud; both sides of them."""
-    near, share = at.view.near, at.cut
+    near, share = at.axis.direction, at.cut
     if has_mesh := len(replay.triangles) > 0:
         kept = drawn_meshes.cut_triangles(replay.triangles, near, cut_plane(replay, share, near))
     else:

@@ -108,6 +108,7 @@ class Replay(NamedTuple):
     triangles: Float[np.ndarray, "M 3 3"]  # mesh of the workpiece, world [m]; none for a cloud, which `surface` shows
     sides: tuple[Viewpoint, ...]  # two viewpoints relative to the part: the best, and one from another side
     sides_in_world: tuple[Viewpoint, ...]  # two viewpoints in the world
+    part_axes: Float[np.ndarray, "3 3"]  # columns: axes of the workpiece's frame
     fixtures: surfaces.WorldGeometry  # other obstacles
     normals: NormalGlyphs  # normals of the path; empty if the task does not refer to them
     file: ShownFile | None = None  # proof of the file from which the motion is; None: it was planned
@@ -146,12 +147,21 @@ class Replay(NamedTuple):
         """Return the arm at one target."""
         return kinematics.ArmShape(*(part[target] for part in self.shape))
 
-    def seen_at(self, targets: Sequence[int]) -> "Replay":
-        """Return the plan with the best viewpoints for pictures of the arm at some targets."""
+    def seen_at(self, targets: Sequence[int], seam: slice | None = None) -> "Replay":
+        """Return the plan with the best viewpoints for pictures of the arm at some targets.
+
+        Args:
+            targets: The targets.
+            seam: Targets of the seam that is to be visible; None: the complete path.
+        """
         poses = [ArmPose(self.arm_at(t), t, False, self.T_root[t], self.links[t]) for t in targets]
-        path = self.target[self.path :] if len(self.target) > self.path + 1 else self.target
+        seam = slice(self.path if len(self.target) > self.path + 1 else 0, None) if seam is None else seam
+        path = self.target[seam]
         bodies = shown_bodies(self.robot, [seen(each, True) for each in poses])
-        scene = ShownScene(self.cloud, path, bodies, self.triangles, self.fixtures.triangles)
+        scene = ShownScene(self.cloud, path, bodies, self.triangles, self.fixtures.triangles, self.part_axes)
+        if not len(self.triangles) and len(self.cloud):
+            nearest = [int(((self.cloud - point) ** 2).sum(axis=1).argmin()) for point in path]
+            scene = scene._replace(inward=self.surface.normals[nearest])
         sides = sides_in_world = camera_views([scene])
         if self.robot.part_moves:
             sides_in_world = camera_views([_scene_in_world(scene, self.robot, each) for each in poses], moves=True)
@@ -246,6 +256,7 @@ class Replays:
             triangles=moved(cell.triangles, placement.T_world_workpiece),
             sides=(),
             sides_in_world=(),
+            part_axes=np.asarray(placement.T_world_workpiece)[:3, :3],
             fixtures=cell.fixtures,
             normals=glyphs(cell.config.task_rows, cell.workpiece, placement.T_world_workpiece),
             file=self.file,

@@ -1,12 +1,14 @@
 """Choice of a viewpoint: the side from which the arm, the workpiece and the cell hide least of the path and the tool.
 
-DIRECTIONS horizontal directions are compared: with the complete workpiece, without what is in front of the path, and
-without the half that faces the camera. Rays from points of the path, the tool and the workpiece to a distant camera are
+DIRECTIONS horizontal directions are compared with the complete workpiece; with a cut one, the horizontal axes of the
+workpiece's own frame, without what is in front of the path, and without the half that faces the camera. The plane of a
+cut is perpendicular to that axis. Rays from points of the path, the tool and the workpiece to a distant camera are
 cast against the triangles that are drawn: the workpiece's mesh, the convex pieces of the arm, and the fixtures.
-Capsules and the points of a cloud are tested as such. A side shows the plan if most of the path's length and of the
-tool's tips are visible. Sides that show it with the complete part come first, then those that show it with a part that
-is cut open in front of the path, then all others. Among these, penalties apply to sides from which the path is
-foreshortened, to a cut, and to a cut that removes the wall along the path. The result is deterministic.
+Capsules and the points of a cloud are tested as such. A side shows the plan if most of the path's length is visible,
+and most of the tool is not behind the workpiece, the fixtures or the arm's links. Sides that show it with the complete
+part come first, then those that show it with a part that is cut open in front of the path, then all others. Among
+these, penalties apply to sides from which the path is foreshortened, to a cut, and to a cut that removes the wall along
+the path. The result is deterministic.
 """
 
 from collections.abc import Sequence
@@ -19,12 +21,14 @@ DIRECTIONS = 16
 ABOVE_RAD = np.radians(16.0), np.radians(40.0), np.radians(62.0)  # angles by which a camera looks downwards
 ASIDE_RAD = np.radians(-28.0), np.radians(28.0)  # horizontal angles between a camera and the normal of the open side
 SQUARE = 0.05  # bonus for the view perpendicular to the path, in units of the hidden share of the path
+NEARLY_SQUARE = np.cos(np.pi / DIRECTIONS)  # least cosine of the angle between that view and another with the bonus
+LEVEL = 0.5  # least horizontal share of an axis of the workpiece that a cut can be perpendicular to
 HIDDEN_TOOL, HIDDEN_TIP = 1.0, 0.5  # weights of the hidden shares of the tool, and of its tips
 HIDDEN_PART = 0.8  # weight of the hidden share of the part behind the arm
 HALF = 0.5  # share of the workpiece that is cut off if the path reaches over it
-MOST_HIDDEN = 0.5  # a side shows the plan if less than this share of the path, and of the tips, is hidden
+MOST_HIDDEN = 0.5  # a side shows the plan if less than this share of the path, and of the tool, is hidden or cut off
 IN_FRONT_M = 0.03  # a cut nearer to the path than this removes the wall along the path
-FORESHORTENED, CUT_OFF, CUT, STEEP = 0.3, 0.3, 0.1, 0.03  # weights of the penalties; STEEP: for the steeper camera
+FORESHORTENED, CUT_OFF, CUT, STEEP = 0.3, 1.0, 0.1, 0.03  # weights of the penalties; STEEP: for the steeper camera
 SPACED = 300  # maximum number of points whose distance from the nearest other point is measured
 MOST_POINTS, MOST_RAYS, ALONG = 3000, 40, 5  # maximum numbers of cloud points and of rays; samples of a tool's axis
 SKIN_M = 0.005  # what is less far in front of a point does not hide it: a target is drawn as a bead
@@ -50,6 +54,13 @@ class View(NamedTuple):
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
 
+class PartAxis(NamedTuple):
+    """An axis of the workpiece's own frame, in one of its two directions."""
+
+    name: str  # such as "+x"
+    direction: Float[np.ndarray, "3"]  # unit vector in the world
+
+
 class Viewpoint(NamedTuple):
     """The open side, the camera's angles, and the part of the workpiece on the open side that is cut off."""
 
@@ -57,11 +68,20 @@ class Viewpoint(NamedTuple):
     aside_rad: float  # horizontal angle to the open side's normal
     above_rad: float  # angle above the horizontal
     cut: float  # share of the workpiece's extent that is cut off; 0: the workpiece is complete
+    axis: PartAxis  # axis towards the open side; a cut is perpendicular to it
 
     @property
     def toward(self) -> Float[np.ndarray, "3"]:
         """Unit direction towards the camera."""
         return towards_camera(*self[:3])
+
+    @property
+    def cut_text(self) -> str:
+        """The cut as text; empty if the workpiece is complete."""
+        if not self.cut:
+            return ""
+        name = self.axis.name
+        return f"cut perpendicular to its {name[1]} axis, without {100 * self.cut:.0f} % towards {name}"
 
 
 class ShownBodies(NamedTuple):
@@ -92,6 +112,8 @@ class ShownScene(NamedTuple):
     arm: ShownBodies
     triangles: Float[np.ndarray, "M 3 3"] = NO_TRIANGLES  # mesh of the workpiece; none: discs at the cloud's points
     fixtures: Float[np.ndarray, "F 3 3"] = NO_TRIANGLES
+    part_axes: Float[np.ndarray, "3 3"] = np.eye(3)  # columns: axes of the workpiece's frame
+    inward: Float[np.ndarray, "T 3"] | None = None  # normals of a cloud's wall at the path; None: a mesh, or unknown
 
 
 def flat_side(scene: ShownScene) -> Viewpoint:
@@ -156,18 +178,40 @@ def _ranked(
     scenes = [_sampled(each) for each in scenes]
     square, radius = view_from_side(scenes[0].cloud, scenes[0].path), 1.5 * _spacing(scenes[0].cloud)
     found = []
-    for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:  # the perpendicular side first; it wins ties
-        view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
-        shares = _cuts(scenes[0], view) if cuts else [0.0]
+    for view, axis, shares in _sides(scenes[0], square, cuts):  # the perpendicular side first; it wins ties
         for above in aboves:
             for aside in asides:
-                views = [Viewpoint(view, aside, above, cut) for cut in shares]
+                views = [Viewpoint(view, aside, above, cut, axis) for cut in shares]
                 found_shares = np.mean([_shares(scene, views, radius) for scene in scenes], axis=0)
                 for at, (bad, *hidden) in zip(views, found_shares.tolist(), strict=True):
                     tier = HIDES if max(hidden) >= MOST_HIDDEN else CUT_OPEN if at.cut else COMPLETE
-                    bad += STEEP * aboves.index(above) - SQUARE * (turn == 0)
+                    bad += STEEP * aboves.index(above) - SQUARE * (view.near @ square.near > NEARLY_SQUARE)
                     found.append(_Ranked(tier, round(bad, 9), at))
     return sorted(found, key=lambda each: each[:2])
+
+
+def _sides(scene: ShownScene, square: View, cuts: bool) -> list[tuple[View, PartAxis, list[float]]]:
+    """Return the views that are compared, each with the workpiece's axis towards it and the cuts of `Viewpoint.cut`.
+
+    Args:
+        scene: The scene.
+        square: The view perpendicular to the path, which is the first one.
+        cuts: True for views with cut workpieces, too.
+    """
+    axes = [
+        PartAxis(f"{sign}{name}", factor * axis)
+        for name, axis in zip("xyz", scene.part_axes.T, strict=True)
+        for sign, factor in (("+", 1.0), ("-", -1.0))
+    ]
+    found = []
+    for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+        view = _view(np.cos(turn) * square.near + np.sin(turn) * square.right)
+        found.append((view, max(axes, key=lambda each: each.direction @ view.near), [0.0]))
+    for axis in axes if cuts else ():
+        level = np.hypot(*axis.direction[:2])
+        if level >= LEVEL:
+            found.append((_view(axis.direction * [1, 1, 0] / level), axis, _cuts(scene, axis.direction)))
+    return found
 
 
 def hidden_targets(scene: ShownScene, at: Viewpoint) -> Bool[np.ndarray, "F T"]:
@@ -178,20 +222,22 @@ def hidden_targets(scene: ShownScene, at: Viewpoint) -> Bool[np.ndarray, "F T"]:
         at: The viewpoint.
     """
     radius = 1.5 * _spacing(scene.cloud)
-    return _by_arm(scene.arm, scene.path, at.toward) | _by_walls(scene, at, scene.path, radius)
+    return _by_arm(scene.arm, scene.path, at.toward) | _path_by_walls(scene, at, radius)
 
 
 def _sampled(scene: ShownScene) -> ShownScene:
     """Return the scene with a part of the cloud's points and of the targets."""
-    cloud, path = scene.cloud, scene.path
-    return scene._replace(cloud=cloud[:: -(-len(cloud) // MOST_POINTS)], path=path[:: -(-len(path) // MOST_RAYS)])
+    cloud, path, step = scene.cloud, scene.path, -(-len(scene.path) // MOST_RAYS)
+    inward = None if scene.inward is None else scene.inward[::step]
+    return scene._replace(cloud=cloud[:: -(-len(cloud) // MOST_POINTS)], path=path[::step], inward=inward)
 
 
 def _shares(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> list[tuple[float, ...]]:
     """Return four numbers for viewpoints that differ only in the cut.
 
     They are the weighted sum of hidden shares and penalties, the share of the path's length that is hidden or lost by
-    projection, the hidden share of the tips, and the share of the path along which the cut removes the wall.
+    projection, the share of the tool behind other bodies, and the share of the path along which the cut removes the
+    wall.
     """
     toward, arm, path = views[0].toward, scene.arm, scene.path
     along = np.linspace(0, 1, ALONG)[:, None, None]
@@ -206,32 +252,40 @@ def _shares(scene: ShownScene, views: Sequence[Viewpoint], radius: float) -> lis
     found = []
     for at in views:
         hides_tool = tool_by_links | _by_walls(scene, at, tool.reshape(-1, 3), radius).reshape(tool.shape[:2])
-        hides_path = (by_arm | _by_walls(scene, at, path, radius)).mean()
+        hides_path = (by_arm | _path_by_walls(scene, at, radius)).mean()
+        hidden_tool = hides_tool.mean() if tool.size else 0.0
         hides_tip = (tip_by_arm | _by_walls(scene, at, tips, radius, TIP_SKIN_M)).mean() if len(tips) else 0.0
-        share = hides_path + HIDDEN_TIP * hides_tip + (HIDDEN_TOOL * hides_tool.mean() if tool.size else 0.0)
-        lost = (path @ at.view.near > cut_depth(scene.cloud, at) - IN_FRONT_M + 1e-9).mean() if at.cut else 0.0
+        share = hides_path + HIDDEN_TIP * hides_tip + HIDDEN_TOOL * hidden_tool
+        near = path @ at.axis.direction > cut_depth(scene.cloud, at) - IN_FRONT_M + 1e-9
+        lost = near.mean() if at.cut else 0.0
         found.append(
             (
                 share + always + (CUT + CUT_OFF * lost if at.cut else 0.0),
                 1 - (1 - hides_path) * (1 - short),
-                hides_tip,
+                hidden_tool,
                 lost,
             )
         )
     return found
 
 
-def _cuts(scene: ShownScene, view: View) -> list[float]:
-    """Return the cuts that are compared, see `Viewpoint.cut`: none, what is in front of the path, the half."""
-    depth = scene.cloud @ view.near
-    share = (depth.max() - (scene.path @ view.near).max() - IN_FRONT_M) / max(np.ptp(depth), 1e-9)
-    return [0.0, *([float(share)] if 0 < share < HALF else []), HALF]
+def _cuts(scene: ShownScene, direction: Float[np.ndarray, "3"]) -> list[float]:
+    """Return the cuts that are compared, see `Viewpoint.cut`: what is in front of the path, the half."""
+    depth = scene.cloud @ direction
+    share = (depth.max() - (scene.path @ direction).max() - IN_FRONT_M) / max(np.ptp(depth), 1e-9)
+    return [*([float(share)] if 0 < share < HALF else []), HALF]
 
 
 def cut_depth(cloud: Float[np.ndarray, "P 3"], at: Viewpoint) -> float:
-    """Return the depth of the plane at which the cloud is cut [m], see `View.near`."""
-    depth = cloud @ at.view.near
+    """Return the distance from the origin of the plane at which the cloud is cut [m], along `Viewpoint.axis`."""
+    depth = cloud @ at.axis.direction
     return float(depth.max() - at.cut * np.ptp(depth))
+
+
+def _path_by_walls(scene: ShownScene, at: Viewpoint, radius: float) -> Mask:
+    """Return True for targets that the workpiece or the fixtures hide; a cloud's wall also hides what lies on it."""
+    hides = _by_walls(scene, at, scene.path, radius)
+    return hides if scene.inward is None else hides | (scene.inward @ at.toward < 0)
 
 
 def _by_walls(
@@ -242,7 +296,7 @@ def _by_walls(
     What remains of triangles after a cut hides the ray where it meets them behind the cut.
     """
     toward, hides = at.toward, shadowed(points, scene.fixtures, at.toward, skin_m=skin_m)
-    most = (at.view.near, cut_depth(scene.cloud, at)) if at.cut else None
+    most = (at.axis.direction, cut_depth(scene.cloud, at)) if at.cut else None
     if len(scene.triangles):
         return hides | shadowed(points, scene.triangles, toward, most, skin_m)
     cloud = scene.cloud if most is None else scene.cloud[scene.cloud @ most[0] <= most[1]]

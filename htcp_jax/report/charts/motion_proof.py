@@ -1,5 +1,7 @@
 """Chart of a proof: guaranteed clearance along a motion, segments by verdict, and the deepest contacts."""
 
+from textwrap import fill
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -14,8 +16,12 @@ from htcp_jax.status import SegmentStatus
 
 PROVEN, REFUTED, UNDECIDED = "#009e73", "#d55e00", "#e69f00"
 COLOURS = {SegmentStatus.VALID: PROVEN, SegmentStatus.UNDECIDED: UNDECIDED}  # else REFUTED
-NAMED = 4  # number of contacts that are labelled
-LONGEST = 110  # maximum number of characters of the note
+MARKS = "o", "s", "^", "D"  # markers of the first pairs of a link and an obstacle; that of all others is OTHER
+OTHER = "."
+BOUND = "guaranteed lower bound (proven)"
+AT_POINTS = "measured distance at single configurations"
+MEASURED = "#4a6fa5"
+LINE = 110  # maximum number of characters in a line of the note
 DECADES = 30.0  # ratio of the largest clearance to the smallest from which the axis is logarithmic
 LOWEST_MM, TOP_MM = 1e-4, 1e4  # clearances are drawn between these
 
@@ -23,8 +29,9 @@ LOWEST_MM, TOP_MM = 1e-4, 1e4  # clearances are drawn between these
 def proof_chart(found: FileProof) -> Figure:
     """Draw the proof of a file's motion.
 
-    The upper panel shows the guaranteed clearance of proven segments, over time, or over the segments' numbers if the
-    file has no times; other segments are shaded. The lower panel shows how deep the bodies are in collision there.
+    The upper panel shows the lower bound of the clearance that is proven for each segment, and the clearance that is
+    measured at single configurations, over time, or over the segments' numbers if the file has no times; segments
+    that are not proven are shaded. The lower panel shows how deep the bodies are in collision there.
 
     Args:
         found: The proof; its file has joint values.
@@ -32,10 +39,8 @@ def proof_chart(found: FileProof) -> Figure:
     proof, times = found.proof, found.motion.time_s
     assert proof is not None
     edges = np.arange(len(proof.verdict) + 1, dtype=float) if times is None else times
-    groups, text = proof_record.unproven_groups(found), proof_record.headline(found)
-    figure = new_figure(
-        5.6 if groups else 3.6, found.file.name, text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-    )
+    groups = proof_record.unproven_groups(found)
+    figure = new_figure(6.2 if groups else 4.0, found.file.name, fill(proof_record.headline(found), LINE))
     panels = figure.subplots(
         2 if groups else 1, 1, squeeze=False, sharex=True, height_ratios=(3, 2)[: 2 if groups else 1]
     )
@@ -58,7 +63,13 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
         colour = COLOURS.get(group.verdict, REFUTED)
         axes.axvspan(edges[group.first], edges[group.last + 1], color=colour, alpha=0.3, linewidth=0)
     axes.hlines(clearance, edges[:-1], edges[1:], color=PROVEN, linewidth=2.2)
-    known = clearance[np.isfinite(clearance)]
+    assert found.curves is not None and found.measured_m is not None
+    drawn = np.flatnonzero(found.measured_m > 0)
+    segment, measured = found.curves.segment[drawn], np.clip(1e3 * found.measured_m[drawn], LOWEST_MM, TOP_MM)
+    at = edges[segment] + found.curves.span[drawn, 0] * (edges[segment + 1] - edges[segment])
+    axes.plot(at, measured, color=MEASURED, linewidth=1.1, marker=".", markersize=3)
+    known = np.concatenate([clearance, measured])
+    known = known[np.isfinite(known)]
     if known.size:
         low, high = max(float(known.min()), LOWEST_MM), float(known.max())
         if high > DECADES * low:
@@ -69,10 +80,13 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
             axes.set_ylim(0, 1.15 * max(high, 1e3 * found.margin_m))
     if found.margin_m:
         axes.axhline(1e3 * found.margin_m, color=INK, linewidth=1.1, linestyle=(0, (4, 2)))
-    axes.set_ylabel("guaranteed clearance [mm]")
+    axes.set_ylabel("clearance [mm]")
     plain_axes(axes)
     verdicts = {SegmentStatus(int(each)) for each in proof.verdict}
-    marks = [Line2D([], [], color=PROVEN, linewidth=2.2, label="proven")] if SegmentStatus.VALID in verdicts else []
+    marks = [Line2D([], [], color=PROVEN, linewidth=2.2, label=BOUND)] if SegmentStatus.VALID in verdicts else []
+    marks.append(
+        Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label="measured distance at single configurations")
+    )
     marks += [
         Patch(color=COLOURS.get(each, REFUTED), alpha=0.3, linewidth=0, label=each.words)
         for each in sorted(verdicts - {SegmentStatus.VALID})
@@ -87,32 +101,33 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
 
 
 def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]) -> None:
-    at, depth, colour = [], [], []
+    """Draw the depth of the deepest contacts, with a marker for each pair of bodies."""
     assert found.proof is not None
-    for segment, contact in found.contacts.items():
-        at.append(edges[segment] + contact.place * (edges[segment + 1] - edges[segment]))
-        depth.append(-1e3 * contact.clearance_m)
-        colour.append(COLOURS.get(SegmentStatus(int(found.proof.verdict[segment])), REFUTED))
-    axes.vlines(at, 0, depth, color=colour, linewidth=1.4)
-    axes.scatter(at, depth, c=colour, s=26, zorder=3)
+    contacts = [
+        each for group in proof_record.unproven_groups(found) for each in proof_record.worst_pairs(found, group)
+    ]
+    named = dict[tuple[int, str], str]()
+    for each in contacts:
+        named.setdefault((each.link, each.other), each.body)
+    marks = dict(zip(named, MARKS, strict=False))
+    depths = [0.0]
+    for contact in (*found.contacts.values(), *contacts):
+        begin, end = edges[contact.segment : contact.segment + 2]
+        at, depth = begin + contact.place * (end - begin), -1e3 * contact.clearance_m
+        colour = COLOURS.get(SegmentStatus(int(found.proof.verdict[contact.segment])), REFUTED)
+        axes.vlines(at, 0, depth, color=colour, linewidth=1.4)
+        mark = marks.get((contact.link, contact.other), OTHER)
+        axes.scatter(at, depth, c=colour, marker=mark, s=26, zorder=3, clip_on=False)
+        depths.append(depth)
     axes.axhline(0, color=QUIET, linewidth=0.9)
     axes.set_ylabel("depth [mm]")
     plain_axes(axes)
-    low, high = min(0.0, *depth), max(0.0, *depth)
+    low, high = min(depths), max(depths)
     room = 0.12 * (high - low or 1.0)
-    axes.set_ylim(low - room, high + 3 * room)
-    for group in proof_record.unproven_groups(found)[:NAMED]:
-        if group.deepest is None:
-            continue
-        contact = found.contacts[group.deepest]
-        x = edges[group.deepest] + contact.place * (edges[group.deepest + 1] - edges[group.deepest])
-        is_right = x > edges[0] + 0.6 * (edges[-1] - edges[0])
-        axes.annotate(
-            f"{contact.body}: {contact.other}",
-            (x, -1e3 * contact.clearance_m),
-            (-6 if is_right else 6, 5),
-            textcoords="offset points",
-            ha="right" if is_right else "left",
-            color=INK,
-            fontsize=9,
-        )
+    axes.set_ylim(low - room, high + room)
+    handles = [
+        Line2D([], [], color=QUIET, linestyle="", marker=mark, markersize=5, label=f"{named[key]} and {key[1]}")
+        for key, mark in marks.items()
+    ]
+    look = {"ncols": 2, "frameon": False, "fontsize": 9, "labelcolor": INK, "borderaxespad": 0.2}
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), **look)

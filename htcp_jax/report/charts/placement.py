@@ -94,7 +94,7 @@ def _note(found: SearchTable) -> str:
     if len(found.ranked):
         reported += " Ring: proven motion; number: rank."
     more = len(found.parameters) - MOST_PARAMETERS
-    return reported if more <= 0 else f"{reported} Not drawn: {more} more parameters."
+    return reported if more <= 0 else f"{reported}\nNot drawn: {more} more parameters."
 
 
 def _panel(axes: Axes, found: SearchTable, column: int, row: int | None) -> None:
@@ -188,7 +188,7 @@ def _draw_bars(axes: Axes, head: str, endings: Sequence[Ending]) -> None:
         look = {"facecolors": "none", "edgecolors": colour} if mark == HOLLOW else {"color": colour, "marker": mark}
         axes.scatter(-0.05 * largest, y, s=26, clip_on=False, linewidths=1.0, **look)
         axes.annotate(f" {count:,}", (count, y), va="center", color=INK, fontsize=8.5)
-    axes.set_title(head, loc="left", color=INK, fontsize=9.5, fontweight="bold")
+    axes.set_title(head, loc="right", color=INK, fontsize=9.5, fontweight="bold")  # it may be wider than the panel
     axes.set_yticks(range(len(endings)), [each.words for each in endings])
     axes.set(xlim=(0, 1.15 * largest), ylim=(len(endings) - 0.5, -0.5), xticks=[])
     axes.spines[:].set_visible(False)

@@ -98,12 +98,12 @@ def new_figure(height: float, title: str, note: str, width: float = WIDTH) -> Fi
     Args:
         height: Height of the figure [inch].
         title: The title.
-        note: One line below the title on how to read the figure.
+        note: Text below the title on how to read the figure, one or more lines.
         width: Width of the figure [inch].
     """
     figure = Figure(figsize=(width, height), dpi=150, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    space = 0.62 / height
+    space = (0.62 + 0.17 * note.count("\n")) / height
     figure.get_layout_engine().set(rect=(0.005, 0.01, 0.99, 1 - space - 0.01), w_pad=0.06, h_pad=0.06)
     figure.text(0.012, 1 - 0.1 / height, title, color=INK, fontsize=14, fontweight="bold", va="top")
     figure.text(0.012, 1 - 0.37 / height, note, color=QUIET, fontsize=10, va="top")

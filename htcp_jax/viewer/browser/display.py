@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from htcp_jax.viewer.arm_pose import ArmPose, moved
 from htcp_jax.viewer.browser.scene import BrowserScene
-from htcp_jax.viewer.camera import camera_pose, open_side
+from htcp_jax.viewer.camera import camera_pose, open_side, viewpoint_of
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
@@ -93,7 +93,7 @@ class DisplayOptions:
     def _cut(self) -> None:
         with self._lock:
             replay, directions = self._replay, {"above": np.array([0.0, 0, 1]), "front": -ahead(self._replay)}
-            near = directions.get(self._side.value, open_side(replay).near)
+            near = directions.get(self._side.value, viewpoint_of(replay).axis.direction)
             share = 0.0 if self._side.value == "nothing" else self._share.value / 100
             self._stage.cut(share, near, self._size.value / 1e3)
 
