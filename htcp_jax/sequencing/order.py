@@ -69,7 +69,7 @@ def shortest_order(
         seed: Seed of the search.
         effort: Work, about the seconds that it takes on one idle core of 3 GHz [s].
         hint: Nodes of a tour that is known, in order of travel.
-        only: For more than FEW groups "tour" omits the bound, which is then 0, and "bound" keeps the tour of `hint`.
+        only: "bound" keeps the tour of `hint`; "tour", for more than FEW groups, omits the bound, which is then 0.
 
     Returns:
         The tour. The bound is 0 if nothing better was proven; if it is more, no tour visits more groups.
@@ -170,7 +170,7 @@ def _solve(
     count, home = len(before), len(group)
     costs = group_costs(group, cost[home, :home], cost[:home, home], cost[:home, :home], before)
     hint = group[start] if sorted(group[start]) == list(range(count)) and _respects(group[start], before) else None
-    only = only if count > FEW else None
+    only = only if count > FEW or only == "bound" else None
     if only == "tour" and hint is not None:
         effort *= AGAIN
     if only == "bound" and hint is not None:
