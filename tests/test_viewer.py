@@ -98,9 +98,9 @@ def page(browser, viewer):
 LATE = "Tried to update non-existent component"
 
 
-def opened(browser, viewer):
+def opened(browser, viewer, width: int = 900):
     """Open the page; return it, drawn, and a list of its errors and foreign requests."""
-    page, problems = browser.new_page(viewport={"width": 900, "height": 560}), []
+    page, problems = browser.new_page(viewport={"width": width, "height": 560}), []
     page.set_default_timeout(180_000)  # a busy machine without a GPU draws slowly
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on(
@@ -157,6 +157,17 @@ def seen(page) -> np.ndarray:
 
 def spread(picture: np.ndarray) -> float:
     return float(picture.std())
+
+
+def test_in_a_narrow_window_everything_is_in_view_from_a_camera_farther_away(browser, viewer):
+    page, _ = opened(browser, viewer, width=640)
+    given = viewer.server.initial_camera
+
+    def distance(camera) -> float:
+        return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
+
+    until(lambda: any(distance(c.camera) > 1.3 * distance(given) for c in viewer.server.get_clients().values()))
+    page.close()
 
 
 def test_the_slider_moves_the_arm_in_the_browser(page, viewer, replays):

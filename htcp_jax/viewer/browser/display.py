@@ -9,11 +9,12 @@ from jaxtyping import Float
 
 from htcp_jax.viewer.arm_pose import ArmPose, moved
 from htcp_jax.viewer.browser.scene import BrowserScene
-from htcp_jax.viewer.camera import camera_pose, open_side, viewpoint_of
+from htcp_jax.viewer.camera import CameraPose, camera_pose, open_side, viewpoint_of
 from htcp_jax.viewer.replay import Replay
 from htcp_jax.viewer.viewpoints import View
 
 FOVY_RAD, ASPECT = np.radians(40.0), 0.83  # vertical field of view, and width / height, of the initial camera
+NARROW, PANEL = 576, 388  # largest width of a window whose panel is in front of the picture; the panel's width [pixel]
 CLOSER_M = 0.25  # distance of the camera from the pair of nearest points
 SIDES = "open side", "above", "front", "nothing"  # sides from which the workpiece can be cut
 
@@ -52,6 +53,7 @@ class DisplayOptions:
         self._opacity.on_update(lambda _: self._stage.fade(self._opacity.value / 100))
         self._marks.on_update(lambda _: self._stage.show_marks(self._marks.value))
         self._pair.on_update(lambda _: self._stage.show_smallest_distance(self._pair.value))
+        server.on_client_connect(self._welcome)
 
     def show(self, replay: Replay, poses: Sequence[ArmPose]) -> None:
         """Show a plan with the panel's settings.
@@ -81,12 +83,25 @@ class DisplayOptions:
         with self._lock:
             self._stage.look_from(self._from_part.value)
             self._set_camera()
-            camera, clients = self._server.initial_camera, self._server.get_clients().values()
+            clients = self._server.get_clients().values()
         for client in clients:
-            _move_camera(client, camera.position, camera.look_at)
+            self._fit(client, client.camera.aspect)
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Fit the view of a new browser, whose picture has the panel beside it soon."""
+        width = client.camera.image_width
+        self._fit(client, (width - PANEL if width > NARROW else width) / client.camera.image_height)
+
+    def _fit(self, client: viser.ClientHandle, aspect: float) -> None:
+        """Move a browser's camera so that everything is in a picture of an aspect, width / height."""
+        with self._lock:
+            _move_camera(client, *self._camera_pose(min(aspect, ASPECT)))
+
+    def _camera_pose(self, aspect: float) -> CameraPose:
+        return camera_pose(self._replay, self._poses, FOVY_RAD, aspect, from_part=self._stage.from_part)
 
     def _set_camera(self) -> None:
-        eye, look_at = camera_pose(self._replay, self._poses, FOVY_RAD, ASPECT, from_part=self._stage.from_part)
+        eye, look_at = self._camera_pose(ASPECT)
         camera = self._server.initial_camera
         camera.position, camera.look_at, camera.fov = eye, look_at, FOVY_RAD
 
@@ -105,7 +120,8 @@ class DisplayOptions:
         _move_camera(event.client, cloud + CLOSER_M * grazing(arm - cloud, side), cloud)
 
     def _look_back(self, event: viser.GuiEvent) -> None:
-        _move_camera(event.client, self._server.initial_camera.position, self._server.initial_camera.look_at)
+        if event.client is not None:
+            self._fit(event.client, event.client.camera.aspect)
 
 
 def _move_camera(client: viser.ClientHandle | None, position: np.ndarray, look_at: np.ndarray) -> None:
