@@ -62,7 +62,8 @@ scenarios.pivot_table("executable", index=["method", "rotation_y_rad"], columns=
 htcp_jax.chart(run, "map")
 
 # %% [markdown]
-# How sure is a rate of 36 scenarios? The report's table has its 95 % confidence interval.
+# The report's table has the rates with their 95 % confidence intervals. These hold for a random sample. The 36
+# scenarios are a regular grid, for which an interval only shows that they are few.
 
 # %%
 report = htcp_jax.make_report(run)

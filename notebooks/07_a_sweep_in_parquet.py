@@ -67,7 +67,8 @@ json.loads(schema.metadata[b"htcp_jax"])["versions"]
 # %%
 duckdb.sql(f"""
     SELECT method, count(*) AS scenarios, sum(targets)::INT AS targets, sum(tracked)::INT AS tracked,
-           sum(executable)::INT AS executable, count(*) FILTER (executable = targets) AS complete
+           sum(executable)::INT AS executable,
+           count(*) FILTER (executable = targets) AS executable_to_the_last_target
     FROM '{OUT}/scenarios/*.parquet' GROUP BY method ORDER BY method
 """).pl()
 

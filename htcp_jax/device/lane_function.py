@@ -69,16 +69,26 @@ class LaneFunction:
 
     Executables depend only on the values of the settings that the function reads: a new seed, for example, needs no
     compilation. Reading a setting that is not in `settings` raises AttributeError during compilation.
+
+    Attributes:
+        name: Name of the function, in progress and cache.
+        function: The function of one lane; it returns any tree of arrays, or a `Loop`.
+        sizes: Number of lanes per call, by device, such as `STEP`.
+        settings: Names of the settings that the function reads.
+        parts: First arguments of the function: hashable values that are compiled into it, such as other functions.
+        refill: For sizes with `refills`: how waiting lanes replace finished ones in a loop, by default `refilled`.
+        remembers: True if the function returns a `Loop` that passes on a memory from lane to lane.
+        any_cone: True if one executable serves axes with and without a cone, see `Task.for_either`.
     """
 
     name: str
     function: Callable
     sizes: DeviceSizes
-    settings: tuple[str, ...] = ()  # names of the settings that the function reads
-    parts: tuple = ()  # first arguments of the function; hashable
-    refill: Callable = refilled  # `refilled` or a replacement; used if the tables' size has `refills`
-    remembers: bool = False  # True: the function returns a `Loop` that passes on a memory from lane to lane
-    any_cone: bool = False  # True: one executable serves axes with and without a cone, see `Task.for_either`
+    settings: tuple[str, ...] = ()
+    parts: tuple = ()
+    refill: Callable = refilled
+    remembers: bool = False
+    any_cone: bool = False
 
     def values(self, settings: Settings) -> tuple:
         """Return the values of the settings that the function reads."""

@@ -34,9 +34,22 @@ class QPStatus(enum.IntEnum):
 
 
 class StepQP(NamedTuple):
-    """One step QP, see the module's docstring; in a batch every field has a leading axis."""
+    """One step QP: minimise y' diag(P) y / 2 + q' y such that A y = b, G y <= h and lb <= y <= ub.
 
-    P: Joints  # diagonal of the cost's matrix
+    y is the joint step x - x_ref of N joints [rad or m]. In a batch every field has a leading axis.
+
+    Attributes:
+        P: Diagonal of the cost's matrix (N,), 2 Q, without units.
+        q: Linear cost (N,) [rad or m].
+        A: Task Jacobian Jac(x_ref) (M, N), a row for each equality of the task [m/rad or m/m].
+        b: Error that the step must remove (M,) [m], Delta C.
+        G: Negative gradients (R, N) of the clearance rows, then of the task's bands and cones [m/rad or m/m].
+        h: Clearance minus m in each clearance row, then the task's slack (R,) [m].
+        lb: Lower bound of the step (N,): lower joint limit minus x_ref [rad or m].
+        ub: Upper bound of the step (N,): upper joint limit minus x_ref [rad or m].
+    """
+
+    P: Joints
     q: Joints
     A: Float[Array, "M N"]
     b: Float[Array, "M"]
@@ -89,7 +102,8 @@ def assemble(
         task_jacobian: Jac(x_ref) [m/rad or m/m].
         clearance: D of every row [m].
         gradient: Gradients of D [m/rad or m/m].
-        margin_m: Required clearance.
+        margin_m: m in (9), the clearance at which the rows aim [m]; nothing is added to it. The planner passes the
+            job's `margin_m` + `settings.aim_above_m`.
         lower: Lower joint limits [rad or m].
         upper: Upper joint limits [rad or m].
         slack: Slack of the task's bands and cones [m]; None: the task has none.

@@ -146,8 +146,9 @@ def null_space_objective(
         x_ref: Configuration [rad or m].
         w: Direction in the null space (N - 3,), a number for each column of N(x_ref).
         settings: `alpha_rad`; `j1_weight` and `q_weights` of J1 = j1_weight (x - x_ref)' Q (x - x_ref), with weight 1
-            in the paper; and `include_proximal_bodies`. None, or a mapping: the defaults for all other settings, with
-            `j1_weight` 0 and therefore J2 = -D, but the paper's Q, which weighs all joints by 1.
+            in the paper; and `include_proximal_bodies`. None: the default settings, but `q_weights` 1 for every joint,
+            as in the paper. A mapping, such as {"j1_weight": 1.0}, changes some of these values. The default
+            `j1_weight` is 0: then J2 = -D.
 
     Raises:
         InputError: If x_ref or w has a wrong shape (also for batches), or `q_weights` a wrong length.
