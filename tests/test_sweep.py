@@ -337,7 +337,7 @@ def test_a_run_can_be_read_while_it_is_planned(small):
     [
         (["nowhere.yaml"], "cannot read nowhere.yaml: No such file"),
         (["grid.yaml", "--methods", "baseline,baseline"], "method baseline is given twice"),
-        (["grid.yaml", "--methods", "baseline,rrt"], "unknown method 'rrt'; valid: all, baseline"),
+        (["grid.yaml", "--methods", "baseline,rrt"], "; the package of a method of your own may not be installed"),
         (["grid.yaml", "--methods", ""], "--methods is empty; give a value, or omit it"),
         (["grid.yaml", "--limit", "0"], "Invalid value for '--limit': Input should be greater than or equal to 1"),
         (["grid.yaml", "--seed", "-1"], "settings.seed is -1: at least 0 is needed"),

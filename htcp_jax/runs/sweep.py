@@ -203,7 +203,9 @@ def method_names(methods: str | Sequence[str]) -> tuple[str, ...]:
     for name in names:
         if name not in registry.names():
             known = registry.names()
-            raise InputError(f"unknown method {name!r}; {did_you_mean(name, known)}valid: all, {', '.join(known)}")
+            hint = "; the package of a method of your own may not be installed"
+            valid = f"valid: all, {', '.join(known)}"
+            raise InputError(f"unknown method {name!r}; {did_you_mean(name, known)}{valid}{hint}")
         planning_methods.find(name)
     for name in names:
         if names.count(name) > 1:
