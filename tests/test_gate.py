@@ -385,6 +385,21 @@ def test_other_flags_and_packages_of_extensions_are_stated(run, baseline, capsys
     assert verdict["notes"][1] == "the method baseline came from an unknown package in the baseline, now from mine 1.1"
 
 
+@pytest.mark.parametrize("package", ["mine 1.0", None])
+def test_other_code_of_a_method_is_stated_unless_the_baseline_has_no_hash(run, tmp_path, capsys, package):
+    plugins = {"method baseline": package} if package else {}
+    edit_manifest(run, lambda manifest: manifest.update(code={"method baseline": "1"}, plugins=plugins))
+    assert gate(run, tmp_path / "b.yaml", "--update") == PASSED
+    capsys.readouterr()
+    assert outcome(run, tmp_path / "b.yaml", capsys)["notes"] == []
+    edit_manifest(run, lambda manifest: manifest.update(code={"method baseline": "2"}))
+    (note,) = outcome(run, tmp_path / "b.yaml", capsys)["notes"]
+    version = f", {package} in both" * bool(package)
+    assert note == f"the code of the method baseline differs from the baseline's{version}"
+    edit(tmp_path / "b.yaml", lambda raw: raw.pop("code"))  # as written by an older version
+    assert outcome(run, tmp_path / "b.yaml", capsys)["notes"] == []
+
+
 def test_packages_of_methods_that_are_not_compared_are_not_stated(run, baseline, tmp_path, capsys):
     edit_manifest(run, lambda manifest: manifest.update(plugins={"method baseline": "mine 1.1"}))
     junit = tmp_path / "junit.xml"

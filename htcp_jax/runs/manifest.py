@@ -73,10 +73,17 @@ class DrawnAxis(strict_model.FileSection):
     def text(self, seed: int) -> str:
         """The axis as text, such as "start_rad.joint3: uniform in [-0.1, 0.1], 200 values, seed 11"."""
         name = self.parameter if self.group is None else f"{self.group}, {self.parameter}"
-        what = "offsets " if self.relative else ""
+        return f"{name}: {'offsets ' if self.relative else ''}{self._shape}, {self.count:,} values, seed {seed}"
+
+    @property
+    def distribution_text(self) -> str:
+        """The distribution as text, such as "drawn uniform in [-0.1, 0.1]" or "drawn, offsets uniform in [-1, 1]"."""
+        return f"drawn{', offsets' if self.relative else ''} {self._shape}"
+
+    @property
+    def _shape(self) -> str:
         a, b = self.uniform or self.normal or (0.0, 0.0)
-        how = f"uniform in [{a:g}, {b:g}]" if self.uniform else f"normal, mean {a:g}, standard deviation {b:g}"
-        return f"{name}: {what}{how}, {self.count:,} values, seed {seed}"
+        return f"uniform in [{a:g}, {b:g}]" if self.uniform else f"normal, mean {a:g}, standard deviation {b:g}"
 
 
 class Seconds(strict_model.FileSection):
@@ -177,6 +184,11 @@ def plugins_for(plugins: Mapping[str, str], methods: Collection[str]) -> dict[st
     """Return the entries of `Manifest.plugins` for kinds and for some methods, without those of other methods."""
     named = {added: added.rpartition(" ") for added in plugins}
     return {added: plugins[added] for added, (noun, _, name) in named.items() if noun != METHOD_NOUN or name in methods}
+
+
+def other_code(code: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
+    """Return the entries of `Manifest.code` that are in both mappings with different hashes."""
+    return [added for added, sha256 in code.items() if other.get(added, sha256) != sha256]
 
 
 class Span(NamedTuple):

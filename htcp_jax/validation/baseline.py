@@ -194,6 +194,8 @@ class Baseline(strict_model.FileSection):
     plugins: dict[str, str] = Field(
         default_factory=dict
     )  # distribution and version of methods and kinds of other packages, by their names
+    # SHA-256 of the code of methods and kinds of other packages, by their names; empty in baselines of older versions.
+    code: dict[str, str] = Field(default_factory=dict, exclude_if=lambda value: not value)
     reachability: ReachabilityScores | None
     planned: dict[str, Any]  # configuration and grid of the run, see the function `planned`
     methods: dict[manifests.MethodName, Scores] = Field(min_length=1)
@@ -338,6 +340,7 @@ def update_baseline(run: Run, file: Path, progress: Callable[[int, int], None] |
         versions=origin["versions"],
         xla_flags=origin.get("xla_flags"),
         plugins=manifest.plugins,
+        code=manifest.code,
         reachability=found.reachability,
         planned=planned(manifest),
         methods=found.methods,

@@ -154,7 +154,7 @@ class GateVerdict(NamedTuple):
     changed: tuple[ChangedOutcome, ...]  # worse outcomes first
     failures: tuple[str, ...]
     improvements: tuple[str, ...]  # sentences on better or new results, which pass
-    notes: tuple[str, ...] = ()  # sentences on other XLA_FLAGS and other packages of methods and kinds
+    notes: tuple[str, ...] = ()  # sentences on other XLA_FLAGS, and other packages and code of methods and kinds
 
 
 def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] | None = None) -> GateVerdict:
@@ -189,7 +189,7 @@ def compare(run: Run, baseline: Baseline, progress: Callable[[int, int], None] |
     verdict = _compare(baseline, found, tuple(_origin(run.manifest.planned_by[k], plugins) for k in used))
     labels = run.labels() if verdict.changed else {}
     changed = (one._replace(label=run_labels.named_scenario(one.scenario, labels)) for one in verdict.changed)
-    notes += _other_software(verdict.baseline, verdict.run, plugins)
+    notes += [*_other_software(verdict.baseline, verdict.run, plugins), *_other_code(baseline, run.manifest)]
     return verdict._replace(changed=tuple(changed), notes=tuple(notes))
 
 
@@ -244,6 +244,16 @@ def _other_software(was: Origin, run: tuple[Origin, ...], plugins: Mapping[str, 
     names = [name for name in {**was.plugins, **plugins} if was.plugins.get(name) != plugins.get(name)]
     versions = [(name, *(of.get(name, "an unknown package") for of in (was.plugins, plugins))) for name in names]
     return *notes, *(f"the {name} came from {before} in the baseline, now from {now}" for name, before, now in versions)
+
+
+def _other_code(baseline: Baseline, now: manifest.Manifest) -> list[str]:
+    """Return sentences on methods and kinds with other code than the baseline's, from a package of the same version."""
+    names = manifest.other_code(manifest.plugins_for(baseline.code, baseline.methods), now.code)
+    same = {name: baseline.plugins.get(name) for name in names if baseline.plugins.get(name) == now.plugins.get(name)}
+    return [
+        f"the code of the {name} differs from the baseline's" + (f", {package} in both" if package else "")
+        for name, package in same.items()
+    ]
 
 
 def _changed(method: str, was: Scores, now: Scores) -> list[ChangedOutcome]:
