@@ -202,3 +202,4 @@ def test_a_report_states_which_part_of_the_grid_was_planned(here, full):
     run = sweep(GRID, "baseline", here / "run", sample=4, seed=0)
     text = " ".join(part_facts(read_parts(run, "run")[0]))
     assert "Planned part of the grid: a random sample of 4 of 9 scenarios, seed 0." in text
+    assert text.startswith("4 of 9 scenarios, with ")

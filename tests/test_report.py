@@ -14,7 +14,7 @@ import stranger_report
 import yaml
 from hand_made import plans_with
 from markdown_it import MarkdownIt
-from small_run import toy_run
+from small_run import edit_manifest, toy_run
 
 import htcp_jax
 from htcp_jax.cli import main
@@ -37,6 +37,7 @@ from htcp_jax.runs import Column, Run, columns, open_run
 from htcp_jax.runs.manifest import MANIFEST
 from htcp_jax.runs.reachability_file import REACHABILITY
 from htcp_jax.runs.sweep import keep_plans
+from htcp_jax.spec import PlanConfig
 from htcp_jax.spec.examples import examples
 from htcp_jax.status import SegmentStatus, Status
 
@@ -383,6 +384,16 @@ def test_a_study_with_a_scene_of_its_own_is_not_compared_with_the_paper_s(folder
     assert {row["key"] for row in table.records()} == {"workpiece.path"}
 
 
+def test_a_study_with_the_built_in_scene_lists_the_keys_that_differ_from_the_default_job(tmp_path):
+    (tmp_path / "study.yaml").write_text("grid:\n  - start_rad.6: [-2.0, -1.9]\nconfig: job.yaml\n")
+    for margin, keys in ((0.002, [["margin_m"]]), (PlanConfig().margin_m, [])):
+        (tmp_path / "job.yaml").write_text(f"margin_m: {margin}\n")
+        report = make_report(kept(tmp_path / "study.yaml", "baseline", tmp_path / f"run-{margin}"))
+        listed = [block for block in report.blocks if isinstance(block, Table) and block.name == "configuration"]
+        assert [[row["key"] for row in table.records()] for table in listed] == keys
+        assert not listed or [column.key for column in listed[0].columns] == ["key", "study", "duct.yaml"]
+
+
 def test_ranges_and_slices_carry_their_units(folder):
     """Units of ranges and slices (regression: "rotation y = 0.2", without a unit)."""
     reported = " ".join(part_facts(part_of(folder, "poses")))
@@ -619,7 +630,9 @@ def test_every_parameter_that_varies_jointly_is_named_wherever_a_scenario_or_the
     label = ", ".join(f"start joint{k} {own[3]:.6g} rad" for k, own in zip((5, 6), both, strict=True))
     assert part.labels[3] == part.run.labels()[3] == label and part.label(3, 1).endswith(" and 1 more")
     first = part_facts(part)[0]
-    assert all(f"start joint{k} ({own.min():g} to" in first for k, own in zip((5, 6), both, strict=True))
+    ranges = {5: "[0.1, 0.2] rad", 6: "[-2, -1.9] rad"}
+    assert all(f"start joint{k} (drawn uniform in {interval})" in first for k, interval in ranges.items())
+    assert first.startswith("40 scenarios over ") and ", an independent draw of each in every scenario; up to" in first
     assert {"start_joint5_rad", "start_joint6_rad"} <= {column.key for column in best_scenarios(part).columns}
 
 
@@ -659,6 +672,21 @@ def test_two_runs_of_a_grid_are_compared_method_by_method_with_both_tests(folder
     assert base.fewer.to_dict() == {"executable targets": 49, "complete": 36, "executable to the last target": 49}
     assert base.p["complete"] == pytest.approx(2 * 0.5**36) and same.p.isna().all() and set(same.run) == {"poses"}
     assert not tables.between_runs(make_report([folder / "poses", folder / "starts"]).parts).rows  # other grids
+
+
+def test_two_runs_by_other_code_of_one_version_are_told_apart(folder, tmp_path):
+    """Heads of two runs: each names the method's package, and a sentence says whose code differs."""
+    runs = [shutil.copytree(folder / "one", tmp_path / name) for name in ("a", "b")]
+    for run in runs:
+        added = {"code": {"method hybrid": run.name}, "plugins": {"method hybrid": "mine 1.0"}, "name": run.name}
+        edit_manifest(run, lambda manifest, added=added: manifest.update(added))
+    text = markdown(make_report(runs).blocks)
+    assert "The code of the method hybrid differs between a and b: mine 1.0 in both." in text
+    assert text.count("From other packages: method hybrid (mine 1.0).") == 2
+    edit_manifest(runs[1], lambda manifest: manifest.update(plugins={"method hybrid": "mine 2.0"}))
+    text = markdown(make_report(runs).blocks)
+    assert "between a and b: mine 1.0 and mine 2.0." in text
+    assert "From other packages: method hybrid (mine 2.0)." in text
 
 
 def test_both_percentages_of_success_stand_in_the_first_table_with_their_definitions(folder):

@@ -20,9 +20,11 @@ from htcp_jax.report.spread import meaning_of_spread, scenario_rates, spread
 from htcp_jax.report.timing import TIMED, timing, timing_section
 from htcp_jax.report.validation import validation_section, verdict
 from htcp_jax.runs import columns, labels, summary
+from htcp_jax.runs import manifest as manifests
 from htcp_jax.spec import PlanConfig, config_file, examples
 from htcp_jax.status import SegmentStatus
 
+DEFAULT = "duct.yaml"  # the shipped configuration with the default job
 UNITS = "rad", "m"
 BLOCKED = (
     "A joint step is blocked if the straight joint path from the previous configuration collides; not every planner "
@@ -152,12 +154,19 @@ def part_facts(part: Part) -> list[str]:
     """Return paragraphs on the part: scenarios, robot, workpiece, job."""
     manifest = part.run.manifest
     grid = " x ".join(f"{len(values)}" for values in part.axes.values())
-    each = [f"{columns.column(name).heading}{_axis_range(name, values)}" for name, values in part.varied.items()]
+    drawn = _drawn(part)
+    each = [
+        f"{columns.column(name).heading}{drawn.get(name) or _axis_range(name, values)}"
+        for name, values in part.varied.items()
+    ]
     full = len(part.axes) > 1 and math.prod(map(len, part.axes.values())) == len(part.numbers)
-    jointly = ", which vary jointly" if len(part.varied) > len(part.axes) == 1 else ""
-    over = f" over {labels.listed(each)}{jointly}" if each else ""
-    over = f", a grid of {grid}{over}" if full else over
-    lines = [f"{len(part.numbers):,} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
+    once = "an independent draw" if drawn.keys() == part.varied.keys() else "one value"
+    jointly = f", {once} of each in every scenario" if len(part.varied) > len(part.axes) == 1 else ""
+    is_part = bool(manifest.part) and len(manifest.grid) == 1
+    over = f"{', with' if is_part else ' over'} {labels.listed(each)}{jointly}" if each else ""
+    over = f", a grid of {grid}{over}" if full and not is_part else over
+    of = f" of {manifest.full:,}" if is_part else ""
+    lines = [f"{len(part.numbers):,}{of} scenarios{over}; up to {part.targets} targets each; seed {manifest.seed}."]
     scene = part.run.config
     path = scene.workpiece.path_label if scene.workpiece.seams else scene.workpiece.path
     named = {"robot.model": scene.robot.model, "workpiece.cloud": scene.workpiece.cloud, "path": path}
@@ -166,6 +175,8 @@ def part_facts(part: Part) -> list[str]:
         named_files[key] = ", ".join(BUILT_IN.get(name, name) for name in dict.fromkeys(part.parameters[key].tolist()))
     robot, cloud, path = named_files.values()
     lines.append(f"Robot {robot}; workpiece {cloud}; path {path}.")
+    packages = manifests.plugins_for(manifest.plugins, part.plans)
+    lines += [f"From other packages: {', '.join(f'{added} ({p})' for added, p in packages.items())}."] * bool(packages)
     lines.append(f"Configuration: {choice(part)}. {verdict(part.validation)}")
     if manifest.part:
         lines.append(f"Planned part of the grid: {manifest.part}.")
@@ -183,7 +194,18 @@ def _axis_range(name: str, values: np.ndarray) -> str:
         return ""
     low, high = float(values.min()), float(values.max())
     degrees = f", {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees" if unit == "rad" else ""
-    return f" ({low:g} to {high:g} {unit}{degrees})"
+    return f" ({low:.3g} to {high:.3g} {unit}{degrees})"
+
+
+def _drawn(part: Part) -> dict[str, str]:
+    """Return the distributions of the part's random parameters as text in brackets, by column."""
+    found = {}
+    for axis in part.run.manifest.drawn:
+        column = part.keys.get(axis.parameter)
+        if column is not None and part.name == (f"{part.run_name}: {axis.group}" if axis.group else part.run_name):
+            unit = column.rpartition("_")[2]
+            found[column] = f" ({axis.distribution_text}{f' {unit}' if unit in UNITS else ''})"
+    return found
 
 
 def choice(part: Part) -> str:
@@ -267,7 +289,8 @@ def _next_to_the_paper(part: Part, table: Table, level: int) -> list[Block]:
         f"{_paper_part(part)}Columns named paper: {part.paper_table.source}; {paper.MACHINE}. Time/target: planning "
         "time / attempted targets. TCP distance: mean over the tracked targets. Clearance: mean of D over them, which "
         "the paper calls safe distance. The paper does not specify its averages, the start configuration or the "
-        "workpiece's pose; benchmarks/PAPER.md compares other definitions.",
+        "workpiece's pose. Deviations are explained in docs/reproduction.md, and benchmarks/PAPER.md compares other "
+        "definitions.",
     ]
 
 

@@ -4,6 +4,7 @@ Every part of a run (see `groups`) has a chapter, all with the same sections. A 
 by the part's name if there are several parts. A CSV file contains one table for all parts.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,14 +15,16 @@ from PIL.Image import Image
 
 from htcp_jax.errors import InputError, did_you_mean
 from htcp_jax.planning import registry
-from htcp_jax.report.chapter import chapter, choice, fits_presets, presets, tables_of
+from htcp_jax.report.chapter import DEFAULT, chapter, choice, fits_presets, presets, tables_of
 from htcp_jax.report.document import Block, Heading, Picture, Table, html, literal, markdown, png, write_csv
 from htcp_jax.report.groups import Part, read_parts
 from htcp_jax.report.part_charts import MAP, SUCCESS, charts_of, success_of_parts
-from htcp_jax.report.tables import between_runs, configuration_table
+from htcp_jax.report.tables import between_runs, configuration_table, with_qp_of
 from htcp_jax.report.validation import validated
 from htcp_jax.runs import Run, columns, labels, open_run
+from htcp_jax.runs import manifest as manifests
 from htcp_jax.runs import tables as run_tables
+from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
 if TYPE_CHECKING:
@@ -79,7 +82,7 @@ def make_report(runs: Run | str | Path | Sequence[Run | str | Path]) -> Report:
     blocks: list[Block] = [Heading(1, f"Sweep report: {', '.join(names)}")]
     if len(parts) > 1:
         results = {part.name: tables["results"] for part, tables in zip(parts, made, strict=True)}
-        blocks += ["Executable targets in percent of all, by method and run.", overview(results)]
+        blocks += [*_other_code(parts), "Executable targets in percent of all, by method and run.", overview(results)]
         blocks += [success_of_parts(parts).picture(SUCCESS), *_between_runs(between)]
         for part, tables in zip(parts, made, strict=True):
             blocks += [Heading(2, part.name), *chapter(part, tables, _prefix(part, parts), 3)]
@@ -176,6 +179,18 @@ def slug(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9.]+", "-", name).strip("-.") or "run"
 
 
+def _other_code(parts: Sequence[Part]) -> list[str]:
+    """Return a sentence for each method or kind of another package whose code differs between two runs."""
+    of_runs = {part.run_name: part.run.manifest for part in parts}
+    found = []
+    for (name, one), (other_name, other) in itertools.combinations(of_runs.items(), 2):
+        for added in manifests.other_code(one.code, other.code):
+            package, theirs = one.plugins.get(added, "no package"), other.plugins.get(added, "no package")
+            versions = f"{package} in both" if package == theirs else f"{package} and {theirs}"
+            found.append(f"The code of the {added} differs between {name} and {other_name}: {versions}.")
+    return found
+
+
 def _between_runs(table: Table) -> list[Block]:
     return [table, BETWEEN] if table.rows else []
 
@@ -186,15 +201,25 @@ def _appendix(parts: Sequence[Part]) -> list[Block]:
     known = registry.descriptions()
     rows = ((name, *known[name]) for name in methods if name in known)
     about = Table("methods", columns.of("method", "title", "description"), tuple(rows))
-    shipped = presets() if any(fits_presets(part) for part in parts) else {}
+    shipped = _to_compare(parts)
     others = f" and {', '.join(shipped)}" if shipped else ""
-    compared = f"Keys of the configuration that differ between the runs{others}.", configuration_table(ran, shipped)
+    differing = configuration_table(ran, shipped)
+    compared = f"Keys of the configuration that differ between the runs{others}.", differing
     return [
         Heading(2, "What was run"),
-        *(compared if shipped or len(ran) > 1 else ()),
+        *(compared if differing.rows and (shipped or len(ran) > 1) else ()),
         about,
         *(f"{name}: {_provenance(run)}" for name, run in {part.run_name: part.run for part in parts}.items()),
     ]
+
+
+def _to_compare(parts: Sequence[Part]) -> dict[str, PlanConfig]:
+    """Return the shipped configurations to compare with, by name: for the paper's tables all, else the default job."""
+    if not any(fits_presets(part) for part in parts):
+        return {}
+    if any(part.paper_table is not None for part in parts):
+        return presets()
+    return {DEFAULT: with_qp_of(parts[0].run.config, presets()[DEFAULT])}
 
 
 def _concatenated_tables(parts: Sequence[Part], made: Sequence[dict[str, Table]]) -> list[Table]:

@@ -347,14 +347,16 @@ def _cell_text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
-    """Return the keys in which `config` differs from `other`, with `config`'s values as text.
+def with_qp_of(config: PlanConfig, other: PlanConfig) -> PlanConfig:
+    """Return `other` with the QP solver of `config` if `auto` selected it, which is no difference from `auto`."""
+    if config.settings.qp not in (other.settings.on(platform).qp for platform in ("cpu", "gpu")):
+        return other
+    return other.model_copy(update={"settings": dataclasses.replace(other.settings, qp=config.settings.qp)})
 
-    A run records the QP solver that `auto` selected, which is no difference from `auto`.
-    """
-    if config.settings.qp in (other.settings.on(platform).qp for platform in ("cpu", "gpu")):
-        other = other.model_copy(update={"settings": dataclasses.replace(other.settings, qp=config.settings.qp)})
-    theirs = _flat(other.model_dump())
+
+def config_differences(config: PlanConfig, other: PlanConfig) -> dict[str, str]:
+    """Return the keys in which `config` differs from `other`, with `config`'s values as text, see `with_qp_of`."""
+    theirs = _flat(with_qp_of(config, other).model_dump())
     ours = _flat(config.model_dump())
     return {
         key: _cell_text(value) for key, value in ours.items() if key not in theirs or repr(value) != repr(theirs[key])
