@@ -197,7 +197,7 @@ def test_a_signal_ends_a_sweep_that_the_same_call_completes(small, number):
         if now.scenarios_done == 2:
             os.kill(os.getpid(), number)
 
-    with pytest.raises(Interrupted, match=r"stopped; 2 of 3 plans are finished in run; run the same command") as stop:
+    with pytest.raises(Interrupted, match=r"stopped; 1 of 3 plans are finished in run; run the same command") as stop:
         sweep("grid.yaml", "baseline", "run", shard_scenarios=1, progress=interrupt)
     assert stop.value.code == 128 + number
     assert signal.getsignal(number) is handler
@@ -209,7 +209,7 @@ def test_a_sweep_continued_with_fewer_methods_tells_what_it_planned_and_what_is_
     """Sweep resumed with fewer methods: its output lists the planned ones and the remaining ones (regression)."""
 
     def interrupt(now):
-        if now.method == "baseline" and now.scenarios_done == 1:
+        if now.method == "baseline" and now.scenarios_done == 2:
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(Interrupted):
