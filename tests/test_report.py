@@ -107,6 +107,7 @@ def folder(tmp_path_factory):
                 "grid:\n  - start_rad.6: {uniform: [-2.0, -1.9], count: 40}\n"
                 "    start_rad.5: {uniform: [0.1, 0.2], count: 40}",
             ),
+            "shifts": ("short", "grid:" + "".join(f"\n  - workpiece.shift_m.{k}: [0.0, 0.001]" for k in "xz")),
             "four": ("short", "grid:" + "".join(f"\n  - start_rad.{k}: [0.1, 0.2]" for k in (1, 4, 5, 6))),
         }
         for name, (config, text) in grids.items():
@@ -623,7 +624,7 @@ def test_every_parameter_that_varies_jointly_is_named_wherever_a_scenario_or_the
     assert {"start_joint5_rad", "start_joint6_rad"} <= {column.key for column in best_scenarios(part).columns}
 
 
-@pytest.mark.parametrize("name", ["start_rad.joint5", "joint5", "start_joint5_rad"])
+@pytest.mark.parametrize("name", ["start_rad.joint5", "start_rad.5", "joint5", "start_joint5_rad"])
 def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_can_be_chosen(folder, name):
     part, (axes, *more) = part_of(folder, "jointly"), htcp_jax.chart(folder / "jointly", "map", over=name).axes
     values, done = part.parameters["start_joint5_rad"], part.plans["hybrid"].outcomes.can_be_driven
@@ -639,8 +640,22 @@ def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_ca
 def test_a_chart_over_an_unknown_parameter_names_the_valid_ones(folder):
     with pytest.raises(InputError, match=r"over is 'joint4'; .*valid: start_joint5_rad, start_joint6_rad"):
         htcp_jax.chart(folder / "jointly", "map", over="joint4")
+    with pytest.raises(InputError, match=r"over is 'start_rad.joint4'; did you mean start_rad.joint[56]\?"):
+        htcp_jax.chart(folder / "jointly", "map", over="start_rad.joint4")
     with pytest.raises(InputError, match="argument of the chart 'map', not of 'survival'"):
         htcp_jax.chart(folder / "jointly", "survival", over="joint5")
+
+
+@pytest.mark.parametrize("name", ["workpiece.shift_m.x", "shift_m.x", "x", "shift_x_m"])
+def test_an_element_of_a_vector_is_chosen_by_its_key_in_the_sweep_file_or_by_the_end_of_this_key(folder, name):
+    part = part_of(folder, "shifts")
+    assert part.column_of(name) == "shift_x_m"
+    with pytest.raises(InputError, match=r"did you mean shift_m.x\?"):
+        part.column_of("shift_mm.x")
+    double = replace(part, keys=part.keys | {"cell.shift_m.x": "shift_z_m"})
+    if name in ("shift_m.x", "x"):
+        with pytest.raises(InputError, match="name of several parameters: shift_x_m, shift_z_m"):
+            double.column_of(name)
 
 
 def test_the_default_chart_of_several_runs_has_a_bar_for_each_method_and_run(folder):
