@@ -628,11 +628,15 @@ def test_every_parameter_that_varies_jointly_is_named_wherever_a_scenario_or_the
 def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_can_be_chosen(folder, name):
     part, (axes, *more) = part_of(folder, "jointly"), htcp_jax.chart(folder / "jointly", "map", over=name).axes
     values, done = part.parameters["start_joint5_rad"], part.plans["hybrid"].outcomes.can_be_driven
-    bins = np.array_split(np.argsort(values), 10)
+    bins = np.array_split(np.argsort(values), 4)  # of ten scenarios
     (line,) = [each for each in axes.lines if each.get_label() == "hybrid"]
-    assert not more and line.get_ydata().tolist() == [100 * done[rows].mean() for rows in bins] == [100.0] * 10
+    assert not more and line.get_ydata().tolist() == [100 * done[rows].mean() for rows in bins] == [100.0] * 4
+    for method in axes.lines:  # all methods' points at the mean, also next to each other
+        np.testing.assert_allclose(method.get_xdata(), [values[rows].mean() for rows in bins])
+    assert len({method.get_marker() for method in axes.lines}) == len(axes.lines) == 2
+    assert "a bin of 10 scenarios with similar values, at their mean" in axes.figure.texts[1].get_text()
     interval = axes.collections[1].get_segments()[0][:, 1]
-    np.testing.assert_allclose(interval, [wilson(4, 4, sign) for sign in (-1, 1)])
+    np.testing.assert_allclose(interval, [wilson(10, 10, sign) for sign in (-1, 1)])
     labels = [panel.get_xlabel() for panel in htcp_jax.chart(folder / "jointly", "map").axes]
     assert labels == ["start joint5 [rad]", "start joint6 [rad]"] and "[%]" in axes.get_ylabel()
 
