@@ -36,7 +36,11 @@ def drawings() -> dict[str, Figure]:
     maps = dict.fromkeys(STATUS, cells) | {"keep-clear": np.full((2, 3), np.nan)}
     return {
         "success": charts.success(
-            dict.fromkeys(STATUS, 3), dict.fromkeys(STATUS, 8), paper={"baseline": 50.0}, reachability=7
+            dict.fromkeys(STATUS, 3),
+            dict.fromkeys(STATUS, 8),
+            paper={"baseline": 50.0},
+            reachability=7,
+            complete=dict.fromkeys(STATUS, (1, 2)),
         ),
         "success_map": charts.success_map(maps, TOOL, TURN, 4),
         "success_slices": charts.success_slices({m: np.stack([v, v, v]) for m, v in maps.items()}, TURN, TOOL, TURN, 4),

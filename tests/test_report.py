@@ -264,7 +264,10 @@ def test_the_headline_counts_what_can_be_driven_next_to_what_is_tracked(folder):
     assert hybrid["tracked"] == hybrid["executable"] == 26
     figures = report_of(folder, "one").figures
     texts = [text.get_text() for text in figures["success"].axes[0].texts]
-    assert texts == ["96.15 %  (25 of 26), executable 7.69 %", "100.00 %  (26 of 26), executable 100.00 %"]
+    assert texts[::2] == [
+        "targets 96.15 %  (25 of 26), executable 7.69 %",
+        "targets 100.00 %  (26 of 26), executable 100.00 %",
+    ]
 
 
 def test_the_maps_count_what_can_be_driven(folder):
@@ -609,7 +612,9 @@ def test_one_chart_is_drawn_without_the_rest_of_the_report(folder, monkeypatch):
     monkeypatch.setattr(OpenedScene, "picture", None)  # the picture of the cell would fail
     assert png(htcp_jax.chart(folder / "poses", "map")) == png(whole)
     runs = [folder / "groups", folder / "one"]
-    assert htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "tracked targets [%]"
+    assert (
+        htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "targets tracked, scenarios complete [%]"
+    )
     with pytest.raises(InputError, match=r"no chart 'sucess'; did you mean success\?"):
         htcp_jax.chart(folder / "poses", "sucess")
 
@@ -666,6 +671,15 @@ def test_the_default_chart_of_several_runs_has_a_bar_for_each_method_and_run(fol
     axes = htcp_jax.chart([folder / "poses", folder / "starts"]).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == ["baseline, poses", "baseline, starts", "hybrid, poses", "hybrid, starts"]
+    hatches = [bar.get_hatch() or "" for bar in axes.patches[2::3]]  # of the scenarios
+    assert hatches[:2] == hatches[2:] and len({*hatches}) == 2
+    done = [part_of(folder, name).plans["hybrid"].outcomes.complete for name in ("poses", "starts")]
+    assert [bar.get_width() for bar in axes.patches[8::3]] == [100 * each.mean() for each in done]
+    rate, low, high = done[0].mean(), *(wilson(done[0].sum(), len(done[0]), sign) for sign in (-1, 1))
+    lines = [line.get_xdata() for line in axes.lines[1::2]]
+    np.testing.assert_allclose(lines[2], [low, high])
+    assert f"scenarios {100 * rate:.2f} %" in axes.texts[5].get_text()
+    assert axes.figure.texts[0].get_text() == "Targets tracked and scenarios complete, by method and run"
     assert "success" in report_of(folder, "poses", "one").figures
 
 
