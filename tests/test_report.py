@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import stranger_report
 import yaml
@@ -194,6 +195,7 @@ def test_a_method_is_compared_with_the_best_one_scenario_by_scenario(folder):
     more, fewer, equal = (int(which.sum()) for which in (base > best, base < best, base == best))
     assert more == 0 < fewer and equal == 49 - fewer
     first, *_ = tables.pairs(part).records()
+    assert tables.pairs(part).title == "Compared with hybrid, the method with the most executable targets"
     counts = {"more": 0, "fewer": fewer, "equal": equal}
     named = {"method": "baseline", "other": "hybrid", "criterion": "executable targets", "test": "sign test"}
     assert first == {**named, **counts, "p": first["p"]}
@@ -320,8 +322,10 @@ def test_the_stops_say_which_bodies_are_in_collision(folder):
     """Colliding bodies in the table of stops (regression: only `recovery exhausted`)."""
     part = part_of(folder, "poses")
     (row,) = tables.stop_table(part).records()
-    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["colliding_body"])]
+    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["cause"])]
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
+    made = report_of(folder, "poses").blocks
+    assert any("Cause: the colliding body" in block for block in made if isinstance(block, str))
 
 
 class _Found(OpenedScene):
@@ -339,8 +343,8 @@ def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_t
     """Stops by colliding body, else by the end of the search (regression: bodies that were 41 to 75 mm clear)."""
     part = replace(part_of(folder, "poses"), scene=_Found())
     (row,) = tables.stop_table(part).records()
-    assert row["colliding_body"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
-    reported = [each["colliding_body"] for each in tables.scenarios(part).records()]
+    assert row["cause"] == f"step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
+    reported = [each["cause"] for each in tables.scenarios(part).records()]
     assert sum(text.startswith("no body collides") for text in reported if text) == 2 * 48
 
 
@@ -607,6 +611,17 @@ def test_the_paper_s_values_stand_next_to_a_part_of_its_scenarios_with_a_sentenc
     assert "The paper's values are for all 49 scenarios, ours for 14 of them." in markdown(report.blocks)
 
 
+def test_the_lowest_feed_is_mentioned_only_for_a_timed_run(folder):
+    part = part_of(folder, "one")
+    known = {method: np.full(plans.status.shape, 0.1) for method, plans in part.plans.items()}
+    alone = replace(part, manipulability=known)
+    assert charts_of(alone)["manipulability"].alt.endswith("by method")
+    ones = dict.fromkeys(("cycle_time_s", "feed_held_share", "feed_target"), [1] * len(part.numbers))
+    rows = pa.table({"scenario": part.numbers, **ones})
+    timed = replace(alone, timing=alone.timing | {"hybrid": rows})
+    assert charts_of(timed)["manipulability"].alt.endswith("and where the feed is lowest")
+
+
 def test_one_chart_is_drawn_without_the_rest_of_the_report(folder, monkeypatch):
     whole = report_of(folder, "poses").figures["map"]
     monkeypatch.setattr(OpenedScene, "picture", None)  # the picture of the cell would fail
@@ -787,7 +802,7 @@ def check_by_a_stranger(run: Path, out: Path) -> int:
     return checked
 
 
-TEXTS = {"run", "colliding_body", "motion_end", "package", "reachable"}
+TEXTS = {"run", "cause", "motion_end", "package", "reachable"}
 
 
 @pytest.mark.parametrize("name", ["poses", "starts", "one", "four"])

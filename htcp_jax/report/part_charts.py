@@ -58,9 +58,10 @@ def charts_of(part: Part, over: str | None = None) -> dict[str, Chart]:
     found["clearance"] = Chart(partial(charts.clearance_along, clearance), alt)
     known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
     if known:
-        draw = partial(charts.manipulability_along, known, feed_targets(part))
-        alt = "Manipulability along the path: median, band and minimum, by method, and where the feed is lowest"
-        found["manipulability"] = Chart(draw, alt)
+        lowest = feed_targets(part)  # empty if the run is not timed
+        alt = "Manipulability along the path: median, band and minimum, by method"
+        alt += ", and where the feed is lowest" if lowest else ""
+        found["manipulability"] = Chart(partial(charts.manipulability_along, known, lowest), alt)
     names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
     unit, x = " or ".join(sorted(set(units), reverse=True)), {method: plans.x for method, plans in part.plans.items()}
     steps = partial(charts.joint_motion, {method: plans.joint_step for method, plans in part.plans.items()})
