@@ -36,7 +36,11 @@ def drawings() -> dict[str, Figure]:
     maps = dict.fromkeys(STATUS, cells) | {"keep-clear": np.full((2, 3), np.nan)}
     return {
         "success": charts.success(
-            dict.fromkeys(STATUS, 3), dict.fromkeys(STATUS, 8), paper={"baseline": 50.0}, reachability=7
+            dict.fromkeys(STATUS, 3),
+            dict.fromkeys(STATUS, 8),
+            paper={"baseline": 50.0},
+            reachability=7,
+            complete=dict.fromkeys(STATUS, (1, 2)),
         ),
         "success_map": charts.success_map(maps, TOOL, TURN, 4),
         "success_slices": charts.success_slices({m: np.stack([v, v, v]) for m, v in maps.items()}, TURN, TOOL, TURN, 4),
@@ -93,6 +97,16 @@ def test_the_note_of_a_line_over_the_grid_agrees_with_its_axis():
     cut = charts.success_line(values, TURN, 4, executable=fewer)
     assert cut.axes[0].get_ylabel() == "executable targets" and "Tracked targets of" not in texts(cut)
     assert charts.success_line(values, TURN, 4).axes[0].get_ylabel() == "tracked targets"
+
+
+@pytest.mark.parametrize(("scenarios", "bins"), [(7, 1), (12, 1), (35, 3), (400, 10)])
+def test_a_bin_of_random_values_has_ten_scenarios_or_more_if_there_are_so_many(scenarios, bins):
+    random = np.random.default_rng(0)
+    given = {"turn [rad]": random.uniform(size=scenarios)}
+    axes = charts.success_rates({"hybrid": random.integers(0, 2, scenarios).astype(float)}, given).axes[0]
+    assert len(axes.lines[0].get_xdata()) == bins
+    grid = charts.success_rates({"hybrid": np.ones(12)}, {"turn [rad]": np.repeat([0.1, 0.2, 0.3], 4)})
+    assert grid.axes[0].lines[0].get_xdata() == pytest.approx([0.1, 0.2, 0.3]) and "a bin of 4 scen" in texts(grid)
 
 
 def test_the_lines_of_joint_motion_are_named_and_within_their_frame():

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import stranger_report
 import yaml
@@ -108,6 +109,7 @@ def folder(tmp_path_factory):
                 "grid:\n  - start_rad.6: {uniform: [-2.0, -1.9], count: 40}\n"
                 "    start_rad.5: {uniform: [0.1, 0.2], count: 40}",
             ),
+            "shifts": ("short", "grid:" + "".join(f"\n  - workpiece.shift_m.{k}: [0.0, 0.001]" for k in "xz")),
             "four": ("short", "grid:" + "".join(f"\n  - start_rad.{k}: [0.1, 0.2]" for k in (1, 4, 5, 6))),
         }
         for name, (config, text) in grids.items():
@@ -194,6 +196,7 @@ def test_a_method_is_compared_with_the_best_one_scenario_by_scenario(folder):
     more, fewer, equal = (int(which.sum()) for which in (base > best, base < best, base == best))
     assert more == 0 < fewer and equal == 49 - fewer
     first, *_ = tables.pairs(part).records()
+    assert tables.pairs(part).title == "Compared with hybrid, the method with the most executable targets"
     counts = {"more": 0, "fewer": fewer, "equal": equal}
     named = {"method": "baseline", "other": "hybrid", "criterion": "executable targets", "test": "sign test"}
     assert first == {**named, **counts, "p": first["p"]}
@@ -264,7 +267,10 @@ def test_the_headline_counts_what_can_be_driven_next_to_what_is_tracked(folder):
     assert hybrid["tracked"] == hybrid["executable"] == 26
     figures = report_of(folder, "one").figures
     texts = [text.get_text() for text in figures["success"].axes[0].texts]
-    assert texts == ["96.15 %  (25 of 26), executable 7.69 %", "100.00 %  (26 of 26), executable 100.00 %"]
+    assert texts[::2] == [
+        "targets 96.15 %  (25 of 26), executable 7.69 %",
+        "targets 100.00 %  (26 of 26), executable 100.00 %",
+    ]
 
 
 def test_the_maps_count_what_can_be_driven(folder):
@@ -317,8 +323,10 @@ def test_the_stops_say_which_bodies_are_in_collision(folder):
     """Colliding bodies in the table of stops (regression: only `recovery exhausted`)."""
     part = part_of(folder, "poses")
     (row,) = tables.stop_table(part).records()
-    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["colliding_body"])]
+    counts = [int(count) for count in re.findall(r"\((\d+)\)", row["cause"])]
     assert sum(counts) == row["scenarios"] and counts == sorted(counts, reverse=True)
+    made = report_of(folder, "poses").blocks
+    assert any("Cause: the colliding body" in block for block in made if isinstance(block, str))
 
 
 class _Found(OpenedScene):
@@ -336,8 +344,8 @@ def test_a_body_counts_as_colliding_only_where_it_collides_and_else_the_end_of_t
     """Stops by colliding body, else by the end of the search (regression: bodies that were 41 to 75 mm clear)."""
     part = replace(part_of(folder, "poses"), scene=_Found())
     (row,) = tables.stop_table(part).records()
-    assert row["colliding_body"] == f"none: step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
-    reported = [each["colliding_body"] for each in tables.scenarios(part).records()]
+    assert row["cause"] == f"step QPs out of iterations ({row['scenarios'] - 1}), spindle (1)"
+    reported = [each["cause"] for each in tables.scenarios(part).records()]
     assert sum(text.startswith("no body collides") for text in reported if text) == 2 * 48
 
 
@@ -614,12 +622,25 @@ def test_the_paper_s_values_stand_next_to_a_part_of_its_scenarios_with_a_sentenc
     assert "The paper's values are for all 49 scenarios, ours for 14 of them." in markdown(report.blocks)
 
 
+def test_the_lowest_feed_is_mentioned_only_for_a_timed_run(folder):
+    part = part_of(folder, "one")
+    known = {method: np.full(plans.status.shape, 0.1) for method, plans in part.plans.items()}
+    alone = replace(part, manipulability=known)
+    assert charts_of(alone)["manipulability"].alt.endswith("by method")
+    ones = dict.fromkeys(("cycle_time_s", "feed_held_share", "feed_target"), [1] * len(part.numbers))
+    rows = pa.table({"scenario": part.numbers, **ones})
+    timed = replace(alone, timing=alone.timing | {"hybrid": rows})
+    assert charts_of(timed)["manipulability"].alt.endswith("and where the feed is lowest")
+
+
 def test_one_chart_is_drawn_without_the_rest_of_the_report(folder, monkeypatch):
     whole = report_of(folder, "poses").figures["map"]
     monkeypatch.setattr(OpenedScene, "picture", None)  # the picture of the cell would fail
     assert png(htcp_jax.chart(folder / "poses", "map")) == png(whole)
     runs = [folder / "groups", folder / "one"]
-    assert htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "tracked targets [%]"
+    assert (
+        htcp_jax.chart(runs, "groups-second-success").axes[0].get_xlabel() == "targets tracked, scenarios complete [%]"
+    )
     with pytest.raises(InputError, match=r"no chart 'sucess'; did you mean success\?"):
         htcp_jax.chart(folder / "poses", "sucess")
 
@@ -636,15 +657,19 @@ def test_every_parameter_that_varies_jointly_is_named_wherever_a_scenario_or_the
     assert {"start_joint5_rad", "start_joint6_rad"} <= {column.key for column in best_scenarios(part).columns}
 
 
-@pytest.mark.parametrize("name", ["start_rad.joint5", "joint5", "start_joint5_rad"])
+@pytest.mark.parametrize("name", ["start_rad.joint5", "start_rad.5", "joint5", "start_joint5_rad"])
 def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_can_be_chosen(folder, name):
     part, (axes, *more) = part_of(folder, "jointly"), htcp_jax.chart(folder / "jointly", "map", over=name).axes
     values, done = part.parameters["start_joint5_rad"], part.plans["hybrid"].outcomes.can_be_driven
-    bins = np.array_split(np.argsort(values), 10)
+    bins = np.array_split(np.argsort(values), 4)  # of ten scenarios
     (line,) = [each for each in axes.lines if each.get_label() == "hybrid"]
-    assert not more and line.get_ydata().tolist() == [100 * done[rows].mean() for rows in bins] == [100.0] * 10
+    assert not more and line.get_ydata().tolist() == [100 * done[rows].mean() for rows in bins] == [100.0] * 4
+    for method in axes.lines:  # all methods' points at the mean, also next to each other
+        np.testing.assert_allclose(method.get_xdata(), [values[rows].mean() for rows in bins])
+    assert len({method.get_marker() for method in axes.lines}) == len(axes.lines) == 2
+    assert "a bin of 10 scenarios with similar values, at their mean" in axes.figure.texts[1].get_text()
     interval = axes.collections[1].get_segments()[0][:, 1]
-    np.testing.assert_allclose(interval, [wilson(4, 4, sign) for sign in (-1, 1)])
+    np.testing.assert_allclose(interval, [wilson(10, 10, sign) for sign in (-1, 1)])
     labels = [panel.get_xlabel() for panel in htcp_jax.chart(folder / "jointly", "map").axes]
     assert labels == ["start joint5 [rad]", "start joint6 [rad]"] and "[%]" in axes.get_ylabel()
 
@@ -652,14 +677,37 @@ def test_random_parameters_are_drawn_as_rates_in_bins_with_intervals_and_each_ca
 def test_a_chart_over_an_unknown_parameter_names_the_valid_ones(folder):
     with pytest.raises(InputError, match=r"over is 'joint4'; .*valid: start_joint5_rad, start_joint6_rad"):
         htcp_jax.chart(folder / "jointly", "map", over="joint4")
+    with pytest.raises(InputError, match=r"over is 'start_rad.joint4'; did you mean start_rad.joint[56]\?"):
+        htcp_jax.chart(folder / "jointly", "map", over="start_rad.joint4")
     with pytest.raises(InputError, match="argument of the chart 'map', not of 'survival'"):
         htcp_jax.chart(folder / "jointly", "survival", over="joint5")
+
+
+@pytest.mark.parametrize("name", ["workpiece.shift_m.x", "shift_m.x", "x", "shift_x_m"])
+def test_an_element_of_a_vector_is_chosen_by_its_key_in_the_sweep_file_or_by_the_end_of_this_key(folder, name):
+    part = part_of(folder, "shifts")
+    assert part.column_of(name) == "shift_x_m"
+    with pytest.raises(InputError, match=r"did you mean shift_m.x\?"):
+        part.column_of("shift_mm.x")
+    double = replace(part, keys=part.keys | {"cell.shift_m.x": "shift_z_m"})
+    if name in ("shift_m.x", "x"):
+        with pytest.raises(InputError, match="name of several parameters: shift_x_m, shift_z_m"):
+            double.column_of(name)
 
 
 def test_the_default_chart_of_several_runs_has_a_bar_for_each_method_and_run(folder):
     axes = htcp_jax.chart([folder / "poses", folder / "starts"]).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == ["baseline, poses", "baseline, starts", "hybrid, poses", "hybrid, starts"]
+    hatches = [bar.get_hatch() or "" for bar in axes.patches[2::3]]  # of the scenarios
+    assert hatches[:2] == hatches[2:] and len({*hatches}) == 2
+    done = [part_of(folder, name).plans["hybrid"].outcomes.complete for name in ("poses", "starts")]
+    assert [bar.get_width() for bar in axes.patches[8::3]] == [100 * each.mean() for each in done]
+    rate, low, high = done[0].mean(), *(wilson(done[0].sum(), len(done[0]), sign) for sign in (-1, 1))
+    lines = [line.get_xdata() for line in axes.lines[1::2]]
+    np.testing.assert_allclose(lines[2], [low, high])
+    assert f"scenarios {100 * rate:.2f} %" in axes.texts[5].get_text()
+    assert axes.figure.texts[0].get_text() == "Targets tracked and scenarios complete, by method and run"
     assert "success" in report_of(folder, "poses", "one").figures
 
 
@@ -782,7 +830,7 @@ def check_by_a_stranger(run: Path, out: Path) -> int:
     return checked
 
 
-TEXTS = {"run", "colliding_body", "motion_end", "package", "reachable"}
+TEXTS = {"run", "cause", "motion_end", "package", "reachable"}
 
 
 @pytest.mark.parametrize("name", ["poses", "starts", "one", "four"])

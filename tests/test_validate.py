@@ -176,10 +176,9 @@ def test_the_wall_of_a_mesh_is_moved_by_the_origin_of_its_coordinates(tmp_path):
 def test_a_report_does_not_call_other_results_validated_than_those_that_were(run):
     main(["validate", str(run), "--between", "0"])
     spoil(run, 0, 5, iterations=1)
-    assert (
-        validated(read_validation(open_run(run))) is None
-        and verdict(read_validation(open_run(run))) == "Not validated independently."
-    )
+    assert validated(
+        read_validation(open_run(run))
+    ) is None and "No validation of these results is stored in this run" in verdict(read_validation(open_run(run)))
 
 
 def test_a_weaker_validation_never_replaces_a_stronger_one_of_the_same_results(run, capsys):

@@ -32,8 +32,8 @@ BLOCKED = (
 )
 PAIRED = (
     "Each criterion is compared scenario by scenario. Executable targets: scenarios in which the method has more or "
-    "fewer of them than the best method, or as many; sign test. Complete, and executable to the last target: scenarios "
-    "in which only the method succeeds (more), only the best one (fewer), or both or neither (equal); McNemar's exact "
+    "fewer of them than the other one, or as many; sign test. Complete, and executable to the last target: scenarios "
+    "in which only the method succeeds (more), only the other one (fewer), or both or neither (equal); McNemar's exact "
     "test. p: probability of a split at least as uneven if neither method is better. Many small differences in targets "
     "may have a small p although both methods complete equally many scenarios. Both tests assume independent "
     "scenarios. Neighbours in a fine grid are not: confirm a small difference with other seeds and poses."
@@ -42,6 +42,7 @@ MANIPULABILITY = (
     "Manipulability is the smallest singular value of the task's Jacobian: the lowest tool speed at a joint velocity "
     "of norm 1. It is 0 where the arm is singular; where it is low, joints must move fast to hold the feed."
 )
+CAUSE = "Cause: the colliding body at the failed target, or, if no body collides there, why the search ended."
 BUILT_IN = {config_file.BUILT_IN_ARM: "GP50", config_file.DUCT: "the generated duct", "weld": "its weld"}
 
 
@@ -246,7 +247,7 @@ def _end_blocks(part: Part, table: Table) -> list[Block]:
     found = sorted({reason for plans in part.plans.values() for reason in tables.reasons(plans)})
     lines = (f"{reason.words}: {reason.message}." for reason in found)
     meaning = " ".join(text[0].upper() + text[1:] for text in lines)
-    return [table, meaning]
+    return [table, f"{CAUSE} {meaning}" if "cause" in (column.key for column in table.columns) else meaning]
 
 
 def _motion_ends(table: Table) -> list[Block]:

@@ -1,6 +1,7 @@
 """Parts of a run for the report: one part for each group of scenarios in the sweep."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from functools import cached_property
@@ -71,20 +72,31 @@ class Part:
         return values.dtype.kind in "if" and len(first) > MOST_LEVELS and not abs(order.sum()) == len(order)
 
     def column_of(self, name: str) -> str:
-        """Return the varied parameter with a name: of its column, of its key, or the last part of its key.
+        """Return the varied parameter with a name: its column, its key in the sweep file, or the end of this key.
+
+        The end of a key is any of its last parts, such as `shift_m.x` or `x` of `workpiece.shift_m.x`. A joint's key
+        has the joint's name or number, as in the sweep file.
 
         Raises:
             InputError: If there is no such parameter, or if several have this name.
         """
-        names = {column: {column} for column in self.varied}
+        keys: dict[str, list[str]] = {column: [] for column in self.varied}
         for key, column in self.keys.items():
-            if column in names:
-                names[column] |= {key, key.rpartition(".")[2]}
-        found = [column for column, own in names.items() if name in own]
-        if len(found) != 1:
-            valid = ", ".join(names) or "none, as no parameter varies"
-            raise InputError(f"over is {name!r}; {did_you_mean(name, names)}valid: {valid}")
-        return found[0]
+            if column in keys:
+                keys[column].append(key)
+        for number, joint in enumerate(self.run.manifest.joints, 1):
+            if f"start_{joint}" in keys:
+                keys[f"start_{joint}"].append(f"start_rad.{number}")
+        ends = {column: {end for key in own for end in _ends_of_key(key)} for column, own in keys.items()}
+        exact = [column for column, own in keys.items() if name in (column, *own)]
+        found = exact or [column for column, own in ends.items() if name in own]
+        if len(found) == 1:
+            return found[0]
+        valid = ", ".join(keys) or "none, as no parameter varies"
+        if found:
+            raise InputError(f"over is {name!r}, the name of several parameters: {', '.join(found)}; valid: {valid}")
+        known = [*keys, *itertools.chain.from_iterable(ends.values())]
+        raise InputError(f"over is {name!r}; {did_you_mean(name, sorted(known))}valid: {valid}")
 
     def causes(self, method: str) -> dict[int, dict[str, str | None]]:
         """Return the columns `runs.tables.CAUSE` by scenario, for the scenarios with an unusable start."""
@@ -205,6 +217,12 @@ def read_parts(run: Run, name: str) -> list[Part]:
         own = {key: values[here] for key, values in given.items()}
         parts.append(_with_scenarios(whole, f"{name}: {group}" if group else name, numbers[here], own))
     return parts
+
+
+def _ends_of_key(key: str) -> list[str]:
+    """Return a dotted key and its ends: a.b.c, b.c and c."""
+    parts = key.split(".")
+    return [".".join(parts[k:]) for k in range(len(parts))]
 
 
 def _with_scenarios(whole: Part, name: str, numbers: np.ndarray, parameters: dict[str, np.ndarray]) -> Part:

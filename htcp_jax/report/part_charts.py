@@ -47,7 +47,7 @@ def charts_of(part: Part, over: str | None = None) -> dict[str, Chart]:
     executable = {method: plans.executable for method, plans in part.plans.items()}
     survival = partial(charts.survival, status, executable=executable, reachability=part.reachability)
     found = {
-        SUCCESS: Chart(partial(_success, part), f"Success of each method on {part.name}"),
+        SUCCESS: Chart(partial(_success, part), f"Targets tracked and scenarios complete, by method, on {part.name}"),
         **(_over_grid(part) if over is None else {MAP: _rates(part, [part.column_of(over)])}),
         "survival": Chart(survival, "Number of scenarios that execute each target, by method"),
     }
@@ -58,9 +58,10 @@ def charts_of(part: Part, over: str | None = None) -> dict[str, Chart]:
     found["clearance"] = Chart(partial(charts.clearance_along, clearance), alt)
     known = {method: values for method, values in part.manipulability.items() if np.isfinite(values).any()}
     if known:
-        draw = partial(charts.manipulability_along, known, feed_targets(part))
-        alt = "Manipulability along the path: median, band and minimum, by method, and where the feed is lowest"
-        found["manipulability"] = Chart(draw, alt)
+        lowest = feed_targets(part)  # empty if the run is not timed
+        alt = "Manipulability along the path: median, band and minimum, by method"
+        alt += ", and where the feed is lowest" if lowest else ""
+        found["manipulability"] = Chart(partial(charts.manipulability_along, known, lowest), alt)
     names, units = zip(*(joint.rsplit("_", 1) for joint in part.run.manifest.joints), strict=True)
     unit, x = " or ".join(sorted(set(units), reverse=True)), {method: plans.x for method, plans in part.plans.items()}
     steps = partial(charts.joint_motion, {method: plans.joint_step for method, plans in part.plans.items()})
@@ -93,6 +94,7 @@ def _success(part: Part) -> "Figure":
         {row["method"]: row["tracked"] for row in rows},
         {row["method"]: row["targets"] for row in rows},
         executable={row["method"]: row["executable"] for row in rows},
+        complete={row["method"]: (row["complete"], row["scenarios"]) for row in rows},
         paper=theirs or None,
         reachability=int(part.reachability.sum()) if part.reachability is not None and whole else None,
     )
@@ -102,17 +104,17 @@ def success_of_parts(parts: Sequence[Part]) -> Chart:
     """Return the chart of the results of several parts, with a bar for each method and part, next to each other."""
     methods = dict.fromkeys(method for part in parts for method in part.plans)
     rows = {
-        f"{method}, {part.name}": row
+        f"{method}, {part.name}": row | {"run": part.name}
         for method in methods
         for part in parts
         for row in tables.results(part).records()
         if row["method"] == method
     }
-    tracked, targets, executable, of = (
-        {name: row[key] for name, row in rows.items()} for key in ("tracked", "targets", "executable", "method")
-    )
-    draw = partial(charts.success, tracked, targets, executable=executable, methods=of)
-    return Chart(draw, f"Targets of each method in {', '.join(part.name for part in parts)}")
+    keys = "tracked", "targets", "executable", "method", "run"
+    tracked, targets, executable, of, runs = ({name: row[key] for name, row in rows.items()} for key in keys)
+    complete = {name: (row["complete"], row["scenarios"]) for name, row in rows.items()}
+    draw = partial(charts.success, tracked, targets, executable=executable, complete=complete, methods=of, runs=runs)
+    return Chart(draw, f"Targets tracked and scenarios complete, by method, in {', '.join(p.name for p in parts)}")
 
 
 def _axes(part: Part) -> dict[str, charts.Axis]:

@@ -103,8 +103,9 @@ def chart(
         runs: One or several runs, or their folders.
         name: Name of the chart, as in `Report.figures`: "success" (of several runs: all of them in one chart), "map",
             "survival", "stops", "clearance", "joint-motion" and others.
-        over: Parameter over which "map" is drawn, any that the grid varies: the name of its column, of its key, or the
-            last part of its key, such as "rotation_y_rad". None: as in the report.
+        over: Parameter over which "map" is drawn, any that the grid varies: the name of its column, its key in the
+            sweep file, or the end of this key, such as "rotation_y_rad", "start_rad.5" or "shift_m.x". None: as in the
+            report.
 
     Raises:
         InputError: If the report has no chart, or the grid no parameter, with this name; otherwise see `make_report`.

@@ -42,7 +42,7 @@ STEPS = (
 )  # fmt: skip
 STOPS = (
     "method", "reason", "scenarios", "first_target", "median_target", "last_target",
-    *(columns.listed(key, "scenarios") for key in ("colliding_body", "targets")),
+    *(columns.listed(key, "scenarios") for key in ("cause", "targets")),
 )  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def results(part: Part) -> Table:
 
 
 def pairs(part: Part) -> Table:
-    """Return the table that compares every other method with the best one, which has the most executable targets."""
+    """Return the table that compares every other method with the one that has the most executable targets."""
     counts = {method: int(plans.executable.sum()) for method, plans in part.plans.items()}
     best = max(counts, key=lambda method: counts[method])
     others = {method: plans for method, plans in part.plans.items() if method != best}
@@ -61,7 +61,12 @@ def pairs(part: Part) -> Table:
         for method, plans in others.items()
         for row in compared(plans, part.plans[best])
     ]
-    return Table.of("pairs", ("method", "other", *COMPARED), rows, "Compared with the best method")
+    return Table.of(
+        "pairs",
+        ("method", "other", *COMPARED),
+        rows,
+        f"Compared with {best}, the method with the most executable targets",
+    )
 
 
 def between_runs(parts: Sequence[Part]) -> Table:
@@ -210,14 +215,14 @@ def stop_table(part: Part) -> Table:
                     "first_target": int(at.min()),
                     "median_target": float(np.median(at)),
                     "last_target": int(at.max()),
-                    "colliding_body": _colliding_bodies(part, method, reason, part.numbers[lost].tolist()),
+                    "cause": _causes(part, method, reason, part.numbers[lost].tolist()),
                     "targets": _tally(at),
                 }
             )
     return Table.of("stops", STOPS, rows).without_empty()
 
 
-def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
+def _causes(part: Part, method: str, reason: Status, numbers: Sequence[int]) -> str | None:
     """Return the colliding bodies in some scenarios as text, most frequent first; None if unknown.
 
     For scenarios in which no body collides, the text contains the reason why the search ended.
@@ -236,7 +241,7 @@ def _colliding_bodies(part: Part, method: str, reason: Status, numbers: Sequence
         counts = Counter(name.format(**each) for name, each in zip(names, causes, strict=True))
         return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
     found = [known for k in numbers if (known := part.scene.colliding_bodies(method).get(k)) is not None]
-    counts = Counter(each.cause(f"none: {reason.ended}") for each in found)
+    counts = Counter(each.cause(reason.ended) for each in found)
     return ", ".join(f"{body} ({count})" for body, count in counts.most_common()) or None
 
 
@@ -262,7 +267,7 @@ def scenarios(part: Part) -> Table:
     """Return the table of all scenarios, a row per scenario and method: parameters, results, times, reachability."""
     keys = ["scenario", *part.parameters, "method", "tracked", "targets", "executable", *motion.MotionFigures._fields]
     keys += [name for name in timing_file.COLUMNS if any(part.timing.values())]
-    keys += ["end", "motion_end", "colliding_body", "reachable", "run_s", "cpu_s", "together", "seed", "package"]
+    keys += ["end", "motion_end", "cause", "reachable", "run_s", "cpu_s", "together", "seed", "package"]
     times = {method: {row["scenario"]: row for row in rows.to_pylist()} for method, rows in part.timing.items() if rows}
     rows, causes = [], {method: part.causes(method) for method in part.plans}
     for s, number in enumerate(part.numbers.tolist()):
@@ -272,7 +277,7 @@ def scenarios(part: Part) -> Table:
             cause = causes[method].get(number, {}).get("cause") or (blocked and blocked.description)
             row = {name: values[s].item() for name, values in part.motions[method]._asdict().items()}
             row |= given | times.get(method, {}).get(number, {}) | end._asdict()
-            row |= part.times[method].get(number, {}) | {"colliding_body": cause}
+            row |= part.times[method].get(number, {}) | {"cause": cause}
             row["end"] = "complete" if end.status is None else end.status.words
             row["motion_end"] = end.segment_status.words if end.executable < end.tracked else None
             row["reachable"] = None if part.reachability is None else int(part.reachability[s])

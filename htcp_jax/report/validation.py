@@ -19,6 +19,7 @@ BETWEEN_TARGETS = (
     "line_deviation_max_mm", "speed_ratio_max", "speed_joint", "in_place_max_rad",
 )  # fmt: skip
 ROWS = "method", "row", "off", "most", "unit", "at"
+NOT_STORED = "No validation of these results is stored in this run: htcp validate RUN stores one."
 PLACES = "clearance_min_at", "clearance_between_min_at", "at"  # columns of a scenario and a target
 
 
@@ -55,7 +56,7 @@ def validated(found: dict[str, Any] | None) -> bool | None:
 
 def verdict(found: dict[str, Any] | None) -> str:
     """Return the validation's result as a sentence; `found` is None if there is no validation."""
-    return "Not validated independently." if found is None else validation_summary(found)
+    return NOT_STORED if found is None else validation_summary(found)
 
 
 def validation_section(found: dict[str, Any] | None, labels: dict[int, str], level: int) -> list[Block]:

@@ -7,9 +7,10 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from htcp_jax.report.charts.style import ACROSS, QUIET, line_of, new_figure, plain_axes
-from htcp_jax.runs import summary
+from htcp_jax.runs import labels, summary
 
-BINS = 10  # maximum number of bins of a parameter
+BINS, LEAST = 10, 10  # maximum number of bins of a parameter, and minimum number of scenarios in a bin
+MARKERS = "osD^vP"  # of the methods, in their order
 LARGEST_TEXT = 14  # maximum characters of a text below a panel
 
 
@@ -21,7 +22,8 @@ def success_rates(
 ) -> Figure:
     """Draw the share of scenarios that are executable to the last target, one panel per parameter.
 
-    Numbers are in at most BINS bins with about equal numbers of different values, other parameters have a bin for each
+    Numbers are in at most BINS bins with about equal numbers of different values: as many as leave LEAST scenarios in
+    each, and at least one. At most BINS values that occur several times, and other parameters, have a bin for each
     value. A vertical line is the 95 % confidence interval of the bin's rate (Wilson).
 
     Args:
@@ -29,7 +31,12 @@ def success_rates(
         parameters: Values in the scenarios (S,), by label.
         title: The title of the figure.
     """
-    note = "Point: a bin of scenarios with similar values, at their mean. Line: 95 % confidence interval (Wilson)."
+    planned = np.isfinite(list(done.values())).any(axis=0)
+    bins = {label: _bins(values, int(planned.sum())) for label, values in parameters.items()}
+    sizes = np.concatenate([np.bincount(bin_of[planned], minlength=len(at)) for bin_of, at in bins.values()])
+    least, most = int(sizes.min()), int(sizes.max())
+    size = labels.counted(most, "scenario") if least == most else f"{least} to {most} scenarios"
+    note = f"Point: a bin of {size} with similar values, at their mean. Vertical: 95 % confidence interval (Wilson)."
     across = 2 if len(parameters) == 4 else min(ACROSS, len(parameters))
     down = -(-len(parameters) // across)
     figure = new_figure(down * 2.9 + 1.3, title, note)
@@ -37,18 +44,20 @@ def success_rates(
     for axes in panels.flat[len(parameters) :]:
         axes.axis("off")
     for axes, (label, values) in zip(panels.flat, parameters.items(), strict=False):
-        bin_of, at = _bins(values)
-        width = 0.012 * (np.ptp(at) or 1.0)
+        bin_of, at = bins[label]
         for k, (method, own) in enumerate(done.items()):
             colour, style = line_of(method)
             rates = [_rate(own[bin_of == each]) for each in range(len(at))]
             rate, low, high = 100 * np.array(rates).T
-            x = at + width * (k - (len(done) - 1) / 2)  # next to the other methods'
-            axes.vlines(x, low, high, color=colour, linewidth=1.4, alpha=0.55)
-            axes.plot(x, rate, color=colour, linestyle=style, marker="o", markersize=4.5, linewidth=1.4, label=method)
+            wide = 1.4 + min(2.2 * len(done), 7) * (1 - (k + 1) / len(done))  # later methods are on top, and thinner
+            axes.vlines(at, low, high, color=colour, linewidth=wide, alpha=0.45)
+            drawn = {"color": colour, "linestyle": style, "marker": MARKERS[k % len(MARKERS)], "label": method}
+            axes.plot(at, rate, markersize=4.5, linewidth=1.4, **drawn)
         if values.dtype.kind not in "if":
             names = [str(value)[:LARGEST_TEXT] for value in np.unique(values)]
             axes.set_xticks(at, names, rotation=90 if len("".join(names)) > 5 * LARGEST_TEXT / across else 0)
+        elif np.ptp(values) > 0:  # the range of all values, also of a single bin
+            axes.set_xlim(values.min() - 0.02 * np.ptp(values), values.max() + 0.02 * np.ptp(values))
         axes.set_xlabel(label)
         axes.set_ylim(-3, 103)
         plain_axes(axes)
@@ -59,12 +68,19 @@ def success_rates(
     return figure
 
 
-def _bins(values: np.ndarray) -> tuple[np.ndarray, Float[np.ndarray, "B"]]:
-    """Return the bin of each scenario, and the places of the bins: means of their values, or 0, 1, ... for texts."""
+def _bins(values: np.ndarray, planned: int) -> tuple[np.ndarray, Float[np.ndarray, "B"]]:
+    """Return the bin of each scenario, and the places of the bins: means of their values, or 0, 1, ... for texts.
+
+    Args:
+        values: Values in the scenarios (S,).
+        planned: Number of planned scenarios.
+    """
     levels, index = np.unique(values, return_inverse=True)
     if values.dtype.kind not in "if":
         return index, np.arange(len(levels), dtype=float)
-    parts = np.array_split(np.arange(len(levels)), min(BINS, len(levels)))
+    repeated = len(levels) <= BINS and len(levels) < len(values)
+    count = len(levels) if repeated else min(BINS, len(levels), max(1, planned // LEAST))
+    parts = np.array_split(np.arange(len(levels)), count)
     bin_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])[index]
     return bin_of, np.array([values[bin_of == each].mean() for each in range(len(parts))])
 

@@ -26,12 +26,14 @@ from htcp_jax.report.charts.style import (
     panels_with_maps,
     plain_axes,
 )
+from htcp_jax.runs import summary
 
 _COLOURS = (0, "#fbf3e4"), (0.113, "#d8dfd6"), (0.395, "#8fb8cf"), (0.694, "#3f82b5"), (1, "#0d3f6e")
 TRACKED = LinearSegmentedColormap.from_list("tracked", _COLOURS)  # positions by the colours' distances in CIELAB
 MOST_NUMBERS, MOST_NAMES = 15, 12  # maximum numbers of cells and of axis values along a map's side that are written
 LONGEST, LEVEL = 14, 6  # maximum characters of an axis value, and of one that is written horizontally below a map
 MAP_CHARACTERS = 36  # maximum characters of all values below a map, if they are written horizontally
+HATCHES = "", "///", "...", "xxx", "\\\\\\"  # of the runs, in their order
 LINE_CHARACTERS = 80  # maximum characters of all values below a line chart, if they are written horizontally
 
 
@@ -67,45 +69,73 @@ def success(
     of: Mapping[str, int],
     *,
     executable: Mapping[str, int] | None = None,
+    complete: Mapping[str, tuple[int, int]] | None = None,
     paper: Mapping[str, float] | None = None,
     reachability: int | None = None,
     methods: Mapping[str, str] | None = None,
-    title: str = "Targets by method",
+    runs: Mapping[str, str] | None = None,
+    title: str = "",
 ) -> Figure:
-    """Draw tracked and executable targets in percent, one bar per method with its counts.
+    """Draw the shares of tracked targets and of complete scenarios in percent, two bars per method with its counts.
 
     Args:
         tracked: Number of tracked targets by method.
         of: Number of all targets by method.
         executable: Number of targets to which a proven motion leads, by method; the bar is pale for all other tracked
             targets.
-        paper: The paper's percentage, by method; drawn as a diamond.
+        complete: Number of complete scenarios and of all scenarios, by method; drawn as a narrow bar, with the 95 %
+            confidence interval (Wilson). None: only the targets are drawn.
+        paper: The paper's percentage of tracked targets, by method; drawn as a diamond.
         reachability: Number of targets known to be reachable; drawn as a dashed line.
         methods: The method of each bar, which determines its colour, if the keys above are other names.
-        title: The title of the figure.
+        runs: The run of each bar, which determines its hatching, if there are several runs.
+        title: The title of the figure; empty: what is drawn.
     """
     executable = tracked if executable is None else executable
     cut = any(executable[method] < tracked[method] for method in tracked)
-    figure = new_figure(0.42 * len(tracked) + 1.5, title, _success_note(paper, reachability, cut))
-    axes = figure.subplots()
+    measures = ["targets tracked", *(["scenarios complete"] if complete else [])]
+    row, rest = (0.62, 1.7) if complete else (0.42, 1.5)
+    note = _success_note(paper, reachability, cut, bool(complete))
+    title = title or f"{' and '.join(measures).capitalize()}, by method{' and run' if runs else ''}"
+    figure = new_figure(row * len(tracked) + rest, title, note)
+    axes, hatching = figure.subplots(), _hatching(runs or {})
+    middle, height = (-0.17, 0.4) if complete else (0, 0.62)  # of the bar of the targets
     for y, method in enumerate(tracked):
         percent = 100 * tracked[method] / of[method]
         open_ = 100 * executable[method] / of[method]
         colour = line_of(method if methods is None else methods[method])[0]
-        axes.barh(y, percent, height=0.62, color=colour, alpha=0.3)
-        axes.barh(y, open_, height=0.62, color=colour)
+        style = {"color": colour, "hatch": hatching.get(method), "edgecolor": PAPER, "linewidth": 0}
+        axes.barh(y + middle, percent, height=height, alpha=0.3, **style)
+        axes.barh(y + middle, open_, height=height, **style)
         text = f"{percent:.2f} %  ({tracked[method]:,} of {of[method]:,})"
         text += f", executable {open_:.2f} %" if cut else ""
-        axes.annotate(text, (101.5, y), va="center", color=INK, fontsize=9.5, annotation_clip=False)
+        written = {"va": "center", "color": INK, "fontsize": 9.5, "annotation_clip": False}
+        axes.annotate(f"targets {text}" if complete else text, (101.5, y + middle), **written)
+        if complete:
+            count, scenarios = complete[method]
+            rate, low, high = (100 * x for x in (count / scenarios, *summary.rate_interval(count, scenarios)))
+            axes.barh(y + 0.22, rate, height=0.22, **style)
+            for colour, wide in ((PAPER, 4.5), (INK, 1.4)):  # with a light edge, for the part on a dark bar
+                axes.plot((low, high), (y + 0.22,) * 2, color=colour, linewidth=wide, clip_on=False)
+            text = f"scenarios {rate:.2f} %  ({count:,} of {scenarios:,}), {low:.1f} to {high:.1f} %"
+            axes.annotate(text, (101.5, y + 0.24), **written)
         if paper and method in paper:
-            axes.plot(paper[method], y, marker="D", color=PAPER, markeredgecolor=INK, markersize=7, clip_on=False)
+            axes.plot(
+                paper[method], y + middle, marker="D", color=PAPER, markeredgecolor=INK, markersize=7, clip_on=False
+            )
     if reachability is not None:
         axes.axvline(100 * reachability / max(of.values()), color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
     axes.set_yticks(range(len(tracked)), list(tracked))
     axes.set(xlim=(0, 100), ylim=(len(tracked) - 0.5, -0.5))
-    axes.set_xlabel("tracked targets [%]")
+    axes.set_xlabel(f"{', '.join(measures)} [%]")
     plain_axes(axes, grid="x")
     return figure
+
+
+def _hatching(runs: Mapping[str, str]) -> dict[str, str]:
+    """Return the hatching of each bar: none for the first run, another one for each later run."""
+    order = list(dict.fromkeys(runs.values()))
+    return {bar: HATCHES[k % len(HATCHES)] * (1 + k // len(HATCHES)) for bar in runs for k in [order.index(runs[bar])]}
 
 
 def success_map(
@@ -367,10 +397,12 @@ def _mean_percent(values: Float[np.ndarray, "*n"], targets: int) -> str:
     return f"{100 * known.mean() / targets:.2f} %" if known.size else "not planned"
 
 
-def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool) -> str:
+def _success_note(paper: Mapping[str, float] | None, reachability: int | None, cut: bool, has_scenarios: bool) -> str:
+    bars = "Wide bar: targets tracked. Narrow bar: scenarios complete, with their 95 % confidence interval (Wilson)."
     parts = ["Pale: tracked, but not executable."] if cut else []
     parts += ["Diamond: the paper's figure."] if paper else []
-    return " ".join([*parts, *dashed_note(reachability)])
+    note = " ".join([*parts, *dashed_note(reachability)])
+    return f"{bars}\n{note}".strip() if has_scenarios else note
 
 
 def dashed_note(reachability: object) -> list[str]:
