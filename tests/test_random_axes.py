@@ -70,6 +70,7 @@ def test_the_manifest_states_the_distribution_of_a_random_axis(job, tmp_path):
         "start_rad.j3: offsets uniform in [-0.1, 0.1], 4 values, seed 11",
         "margin_m: normal, mean 0.001, standard deviation 1e-05, 4 values, seed 11",
     ]
+    assert manifest.drawn[0].distribution_text == "drawn, offsets uniform in [-0.1, 0.1]"
 
 
 def test_a_run_with_drawn_values_is_that_with_the_same_values_in_a_list(job):
