@@ -39,7 +39,7 @@ class StepQP(NamedTuple):
     y is the joint step x - x_ref of N joints [rad or m]. In a batch every field has a leading axis.
 
     Attributes:
-        P: Diagonal of the cost's matrix (N,), 2 Q, without units.
+        P: Diagonal of the cost's matrix (N,): 2 Q, with Q scaled so that its smallest weight is 1; no unit.
         q: Linear cost (N,) [rad or m].
         A: Task Jacobian Jac(x_ref) (M, N), a row for each equality of the task [m/rad or m/m].
         b: Error that the step must remove (M,) [m], Delta C.
