@@ -197,6 +197,8 @@ def test_a_method_is_compared_with_the_best_one_scenario_by_scenario(folder):
     assert more == 0 < fewer and equal == 49 - fewer
     first, *_ = tables.pairs(part).records()
     assert tables.pairs(part).title == "Compared with hybrid, the method with the most executable targets"
+    equal_plans = replace(part, plans=dict.fromkeys(("baseline", "hybrid"), part.plans["hybrid"]))
+    assert "baseline, one of the methods with the most" in tables.pairs(equal_plans).title
     counts = {"more": 0, "fewer": fewer, "equal": equal}
     named = {"method": "baseline", "other": "hybrid", "criterion": "executable targets", "test": "sign test"}
     assert first == {**named, **counts, "p": first["p"]}

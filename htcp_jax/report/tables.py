@@ -61,12 +61,9 @@ def pairs(part: Part) -> Table:
         for method, plans in others.items()
         for row in compared(plans, part.plans[best])
     ]
-    return Table.of(
-        "pairs",
-        ("method", "other", *COMPARED),
-        rows,
-        f"Compared with {best}, the method with the most executable targets",
-    )
+    which = "the method" if [*counts.values()].count(counts[best]) == 1 else "one of the methods"
+    title = f"Compared with {best}, {which} with the most executable targets"
+    return Table.of("pairs", ("method", "other", *COMPARED), rows, title)
 
 
 def between_runs(parts: Sequence[Part]) -> Table:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from htcp_jax.report.charts.style import ACROSS, QUIET, line_of, new_figure, plain_axes
 from htcp_jax.runs import labels, summary
@@ -49,14 +50,15 @@ def success_rates(
             colour, style = line_of(method)
             rates = [_rate(own[bin_of == each]) for each in range(len(at))]
             rate, low, high = 100 * np.array(rates).T
-            wide = 1.4 + min(2.2 * len(done), 7) * (1 - (k + 1) / len(done))  # later methods are on top, and thinner
-            axes.vlines(at, low, high, color=colour, linewidth=wide, alpha=0.45)
+            more = min(2.2 * len(done), 7) * (1 - (k + 1) / len(done))  # later methods are on top, and smaller
+            axes.vlines(at, low, high, color=colour, linewidth=1.4 + more, alpha=0.45)
             drawn = {"color": colour, "linestyle": style, "marker": MARKERS[k % len(MARKERS)], "label": method}
-            axes.plot(at, rate, markersize=4.5, linewidth=1.4, **drawn)
+            axes.plot(at, rate, markersize=4.5 + more, linewidth=1.4 + 0.3 * more, **drawn)
         if values.dtype.kind not in "if":
             names = [str(value)[:LARGEST_TEXT] for value in np.unique(values)]
             axes.set_xticks(at, names, rotation=90 if len("".join(names)) > 5 * LARGEST_TEXT / across else 0)
         elif np.ptp(values) > 0:  # the range of all values, also of a single bin
+            axes.xaxis.set_major_locator(MaxNLocator(12 // across))
             axes.set_xlim(values.min() - 0.02 * np.ptp(values), values.max() + 0.02 * np.ptp(values))
         axes.set_xlabel(label)
         axes.set_ylim(-3, 103)
