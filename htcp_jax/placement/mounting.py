@@ -24,7 +24,7 @@ class PlacementTolerance(NamedTuple):
 
 
 class PartDepth(NamedTuple):
-    """How much deeper the part is in a solid of the cell than in the job as given."""
+    """Depth of the part in a solid of the cell, less the depth in the job as given."""
 
     depth_m: float = 0.0
     solid: str = ""  # name of the solid; "": none

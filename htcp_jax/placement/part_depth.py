@@ -56,6 +56,8 @@ def _depth(points: Float[np.ndarray, "P 3"], shape: Fixture) -> float:
         return 0.0
     corners = shape.surface.reshape(-1, 3)
     near = points[((points > corners.min(axis=0)) & (points < corners.max(axis=0))).all(axis=1)]
-    planes = scipy.spatial.ConvexHull(corners).equations if len(near) else np.zeros((0, 4))
+    if not len(near):
+        return 0.0
+    planes = scipy.spatial.ConvexHull(corners).equations
     heights = near @ planes[:, :3].T + planes[:, 3]
-    return max(0.0, -float(heights.max(axis=1, initial=-np.inf).min(initial=0.0))) if len(near) else 0.0
+    return max(0.0, -float(heights.max(axis=1).min()))

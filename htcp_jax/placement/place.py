@@ -110,16 +110,15 @@ def place(
         def plan(grid: Sweep, method: str, into: Path) -> Run:
             name, began, loaded_s = into.relative_to(folder), time.monotonic(), LOADING.seconds
             report.begin(stage := STAGES[name.parts[0]])
-            clock.begin(
-                name.as_posix(), stops=on == "here"
-            )  # the compilation of Ray's workers is unknown until the end
+            # A call by Ray is not ended, because the compilation of its workers is unknown until its end.
+            clock.begin(name.as_posix(), stops=on == "here")
             run = None
             with suppress(TimeOver):
                 planned = sweep(grid, [method], into)
                 report.planned(planned)
-                is_timed = CYCLE_TIME in search.file.objective
-                check = lambda *_: clock.check()  # noqa: E731
-                run = time_run(planned, search.file.feed, (method,), progress=check) if is_timed else planned
+                if CYCLE_TIME in search.file.objective:
+                    planned = time_run(planned, search.file.feed, (method,), progress=lambda *_: clock.check())
+                run = planned
             compile_s.append(LOADING.seconds - loaded_s if run is None else run.manifest.seconds[method].compile_s)
             seconds, count = time.monotonic() - began - compile_s[-1], 0 if run is None else run.manifest.count
             clock.add(name.as_posix(), PlanTime(count, max(0.0, seconds), stage != "confirm"), began)

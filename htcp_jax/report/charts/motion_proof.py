@@ -84,9 +84,7 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     plain_axes(axes)
     verdicts = {SegmentStatus(int(each)) for each in proof.verdict}
     marks = [Line2D([], [], color=PROVEN, linewidth=2.2, label=BOUND)] if SegmentStatus.VALID in verdicts else []
-    marks.append(
-        Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label="measured distance at single configurations")
-    )
+    marks.append(Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label=AT_POINTS))
     marks += [
         Patch(color=COLOURS.get(each, REFUTED), alpha=0.3, linewidth=0, label=each.words)
         for each in sorted(verdicts - {SegmentStatus.VALID})
