@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from htcp_jax.numerics import padded_count, with_repeated
 from htcp_jax.types import Anywhere, Float, Int
 
 FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
@@ -69,19 +70,15 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
 def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
     """Stack pieces, each padded to the size of the largest one."""
     columns = list(zip(*(piece[:4] for piece in pieces), strict=True))
-    padded = [[_padded(rows, max(2, *map(len, column))) for rows in column] for column in columns]
+    padded = [[with_repeated(rows, padded_count(max(2, *map(len, column)))) for rows in column] for column in columns]
     return ConvexPiece(*map(np.stack, padded), np.stack([piece.radius for piece in pieces]))
-
-
-def _padded(rows: np.ndarray, count: int) -> np.ndarray:
-    return rows[np.minimum(np.arange(count), len(rows) - 1)]
 
 
 def body_pieces(pieces: list[ConvexPiece], excess_m: Float[np.ndarray, "K"]) -> BodyPieces:
     """Stack the pieces of K bodies and compute the planes that enclose each piece."""
     planes = [_enclosing_planes(piece) for piece in pieces]
-    most = max(map(len, planes))
-    return BodyPieces(stack_pieces(pieces), np.stack([_padded(each, most) for each in planes]), excess_m)
+    most = padded_count(max(map(len, planes)))
+    return BodyPieces(stack_pieces(pieces), np.stack([with_repeated(each, most) for each in planes]), excess_m)
 
 
 def _enclosing_planes(piece: ConvexPiece) -> Float[np.ndarray, "D 4"]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.model.coupling import moved_by
-from htcp_jax.model.robot import Robot
+from htcp_jax.model.robot import Robot, body_links
 from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import checked_shape, product
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Vector3
@@ -60,19 +60,18 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     Only capsules of the last link that has capsules are considered; fixtures are ignored. The nearest end is selected
     at x = 0, so that it is the same in every configuration.
     """
-    last = _last_capsules(robot)
-    zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
+    zero, here = (jnp.concatenate(capsule_segments(robot, at)) for at in (jnp.zeros_like(x), x))
     away = zero - tcp_position(robot, jnp.zeros_like(x))[None]
-    return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])
+    square = jnp.where(jnp.tile(_on_last_link(robot), 2), jnp.sum(away * away, axis=1), jnp.inf)
+    return jnp.stack([here[jnp.argmin(square)], tcp_position(robot, x)])
 
 
-def _last_capsules(robot: Robot) -> np.ndarray:
-    """Return the indices of the capsules of the chain's last link that has capsules.
-
-    Fixtures, which come last, are left out.
-    """
-    links = np.delete(robot.capsule_link, robot.attached)
-    return np.flatnonzero(links == max(links[links <= robot.tcp_link]))
+def _on_last_link(robot: Robot) -> Bool[Anywhere, "K"]:
+    """Return True for the capsules of the chain's last link that has capsules, except fixtures."""
+    links = body_links(robot)
+    where = np.where if isinstance(links, np.ndarray) else jnp.where
+    links = where((links > robot.tcp_link) | np.isin(np.arange(len(links)), robot.attached), -2, links)
+    return links == links.max()
 
 
 class TipBounds(NamedTuple):
@@ -122,7 +121,7 @@ def tip_bounds(robot: Robot) -> TipBounds:
     A speed's bound is the sum of the lengths of the links after the joint, of the tip's distance from its link's
     origin, and of the slides' travel. For slides without limits, see `TipBounds.between`.
     """
-    chain, last = slice(robot.tcp_link + 1), _last_capsules(robot)
+    chain, last = slice(robot.tcp_link + 1), np.flatnonzero(_on_last_link(robot))
     slides = np.array(robot.slides)[chain]
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[chain][1:, :3, 3], axis=1)
     travel = np.where(slides, joint_travel(robot)[chain], 0.0)
@@ -207,7 +206,7 @@ def by_joint(
     if robot.coupling is None:
         moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     else:
-        moves = moved_by(robot.parents)[np.array(links)]
+        moves = jnp.asarray(moved_by(robot.parents))[jnp.asarray(links)]
     velocities = _velocities(robot, _link_frames(robot, x), points)
     return jnp.where(moves[:, :, None], velocities, 0.0).swapaxes(1, 2)
 
@@ -274,7 +273,7 @@ def direction_jacobians(
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
-    moves = moved_by(robot.parents)[np.array(links)] & ~np.array(robot.slides)[None, :]
+    moves = moved_by(robot.parents)[np.array(links)] & ~jnp.asarray(robot.slides)[None, :]
     turning = jnp.cross(axes[None], directions[:, None])
     return by_coordinates(robot, jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2))
 
@@ -304,7 +303,7 @@ def with_free_joints(robot: Robot) -> Robot:
 
 def is_periodic(robot: Robot) -> Bool[Anywhere, "N"]:
     """Return True for coordinates after one revolution of which every link is back in its place."""
-    hinge = ~np.array(robot.slides)
+    hinge = ~jnp.asarray(robot.slides)
     if robot.coupling is None:
         return hinge
     factors = robot.coupling.factors
@@ -361,7 +360,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     """Return the frames of the J links, by multiplying the joints' motions along the chain."""
     x = joint_positions(robot, checked_configuration(robot, x))
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
-    slides = np.array(robot.slides)
+    slides = jnp.asarray(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
     rotation = product(fixed.rotation, axis_angle_matrix(robot.axis, turn))
     steps = _Frames(rotation, _to_world(fixed, slide[:, None] * robot.axis))
@@ -388,7 +387,7 @@ def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
     with_world = _Frames(  # the world last, so that it is link -1
         jnp.concatenate([moving.rotation, world[:, :, :3]]), jnp.concatenate([moving.origin, world[:, :, 3]])
     )
-    return _frame_at(with_world, np.array(links))
+    return _frame_at(with_world, jnp.asarray(links))
 
 
 @jax.jit
@@ -396,7 +395,7 @@ def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Fl
     """Return each point's velocity per unit velocity of each joint q, as if all points were fixed to the last link."""
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
-    return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)
+    return jnp.where(jnp.asarray(robot.slides)[None, :, None], axes[None], turning)
 
 
 def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

@@ -10,8 +10,10 @@ this package "world" means the root's frame; `Robot.world` is the workshop's fra
 """
 
 import dataclasses
+from itertools import count as counting
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,8 +21,8 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import BodyPieces
 from htcp_jax.model.coupling import Coupling
 from htcp_jax.notebook import html_facts
-from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
+from htcp_jax.pytree import LABEL, STRUCTURE, register_pytree
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Scalar, Triple
 
 FAR_M = 1e6  # distance between bodies that are not tested against each other
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
@@ -92,15 +94,19 @@ class Robot:
     speed: Joints  # [rad/s or m/s], inf where the model sets no limit
     acceleration: Joints  # [rad/s2 or m/s2], inf where the model sets no limit
     effort: Joints  # [N m or N], inf where the model sets no limit
-    capsule_p: Float[Array, "K 3"]  # first ends of the axes, in the frame of the capsule's link [m]
-    capsule_q: Float[Array, "K 3"]  # second ends [m]; a sphere has p == q
-    capsule_radius: Float[Array, "K"]  # [m]
-    on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
+    capsule_p: Float[Anywhere, "K 3"]  # first ends of the axes, in the frame of the capsule's link [m]
+    capsule_q: Float[Anywhere, "K 3"]  # second ends [m]; a sphere has p == q
+    capsule_radius: Float[Anywhere, "K"]  # [m]
+    on_tool: Float[Anywhere, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
     name: str = dataclasses.field(metadata=LABEL)
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of the coordinates
-    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # of the J joints
+    slides: tuple[bool, ...] | Bool[Anywhere, "J"] = dataclasses.field(
+        metadata=STRUCTURE
+    )  # of the J joints; in programs an array
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
-    capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
+    capsule_link: tuple[int, ...] | Int[Anywhere, "K"] = dataclasses.field(
+        metadata=STRUCTURE
+    )  # -1 is the world; in programs an array
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # for contact, no capsule or sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # pairs that the model excludes
     # True: `exclusions` is complete, except for pairs with a capsule of `mounted`
@@ -199,6 +205,43 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
+def body_links(robot: Robot) -> Int[Anywhere, "K"]:
+    """Return the link of each body, -1 for the world; on the host, except in programs."""
+    return np.array(robot.capsule_link, int) if isinstance(robot.capsule_link, tuple) else robot.capsule_link
+
+
+def for_programs(robot: Robot) -> Robot:
+    """Return a robot whose structure is data in compiled functions, with padding up to one of few numbers of bodies.
+
+    Padding is the first body again, with the radius -FAR_M, so that it is far from everything.
+
+    Args:
+        robot: A robot without labels in which no joint follows another.
+    """
+    bodies = len(robot.capsule_link)
+    count = next(size for k in counting(3) if (size := 2**k) >= bodies)
+    is_body = np.arange(count) < bodies
+    taken = np.where(is_body, np.arange(count), 0)
+    p, q, radius, on_tool = (
+        np.asarray(each)[taken] for each in (robot.capsule_p, robot.capsule_q, robot.capsule_radius, robot.on_tool)
+    )
+    pieces = robot.pieces
+    if pieces is not None:
+        pieces = jax.tree.map(lambda leaf: np.asarray(leaf)[taken], pieces)
+        pieces = pieces._replace(excess_m=np.where(is_body, pieces.excess_m, 0.0))
+    return dataclasses.replace(
+        robot,
+        capsule_p=p,
+        capsule_q=q,
+        capsule_radius=np.where(is_body, radius, -FAR_M),
+        on_tool=np.where(is_body[:, None], on_tool, 0.0),
+        slides=np.array(robot.slides),
+        capsule_link=body_links(robot)[taken],
+        capsule_names=("",) * count,
+        pieces=pieces,
+    )
+
+
 def core_radius(robot: Robot) -> Float[Array, "K"]:
     """Return the largest radii (K,) at which the capsules certainly lie within the bodies [m]; may be negative.
 
@@ -212,7 +255,7 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
     """Return the capsules' radii (K,) for clearances to the workpiece [m]; -FAR_M for capsules that are not tested."""
     if not robot.part_moves:
         return robot.capsule_radius
-    return jnp.where(np.array(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
+    return jnp.where(jnp.asarray(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
 
 
 def capsule_label(robot: Robot, name: str) -> str:

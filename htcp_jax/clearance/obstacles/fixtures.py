@@ -11,7 +11,6 @@ nearer than the smallest distance so far; the pieces with the nearest balls come
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from itertools import count as counting
 from itertools import product
 from types import MappingProxyType
 from typing import NamedTuple
@@ -24,7 +23,7 @@ from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhed
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
 from htcp_jax.model import ConvexPiece, Robot, kinematics, make_piece, stack_pieces
-from htcp_jax.numerics import one_by_one
+from htcp_jax.numerics import one_by_one, padded_count, with_repeated
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Array, Bool, Float, Scalar
 
@@ -79,6 +78,11 @@ class Fixtures(Obstacle):
         if robot.pieces is not None:
             return super().any_below(robot, where, bodies, limit_m)
         return jnp.min(self._nearest(bodies.p, bodies.q, robot.capsule_radius, limit_m).distance)
+
+    def for_programs(self, robot: Robot, bodies: int) -> "Fixtures":
+        """Return the obstacle with padding up to a number of bodies, which is not checked."""
+        more = bodies - self.is_checked.shape[1]
+        return dataclasses.replace(self, is_checked=np.pad(np.asarray(self.is_checked), ((0, 0), (0, more))))
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
         """Return the distance of every solid to every body's capsule [m], including pairs that are not checked."""
@@ -144,12 +148,7 @@ class _Row(NamedTuple):
 def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
     """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code."""
     rows = [_Row(*each) for each in named]
-    return rows + [_Row("", rows[-1].solid, False)] * (_padded_count(len(rows)) - len(rows)) if rows else []
-
-
-def _padded_count(count: int) -> int:
-    """Return the smallest of 1, 2, 4, 6, 8, 12, 16, 24, 32, ... that is not less than `count`."""
-    return next(n for k in counting() for n in (2**k, 3 * 2**k // 2) if n >= count and n != 3)
+    return rows + [_Row("", rows[-1].solid, False)] * (padded_count(len(rows)) - len(rows)) if rows else []
 
 
 def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
@@ -216,14 +215,10 @@ def _stacked(solids: list[Solid]) -> Solid:
 def _host_stacked(solids: list[Solid]) -> Solid:
     """Stack several solids of a kind as numpy arrays; faces and edges of pieces are padded with the last one."""
     if isinstance(solids[0], Polyhedron):
-        faces, edges = (_padded_count(max(map(len, column))) for column in list(zip(*solids, strict=True))[1:3])
+        faces, edges = (padded_count(max(map(len, column))) for column in list(zip(*solids, strict=True))[1:3])
         sizes = Polyhedron(faces, faces, edges, edges)
-        solids = [Polyhedron(*map(_repeated, piece, sizes)) for piece in solids]
+        solids = [Polyhedron(*map(with_repeated, piece, sizes)) for piece in solids]
     return jax.tree.map(lambda *each: np.stack(list(map(np.asarray, each))), *solids)
-
-
-def _repeated(rows: np.ndarray, count: int) -> np.ndarray:
-    return np.asarray(rows)[np.minimum(np.arange(count), len(rows) - 1)]
 
 
 def _ball(piece: Polyhedron) -> np.ndarray:
