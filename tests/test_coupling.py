@@ -220,7 +220,12 @@ def test_bodies_on_a_straight_path_move_no_further_than_the_bounds_at_1000_place
 
     def bounds(x, rates, half):
         own, within = JointSweep(rates, half), motion_bound(robot, x, half * jnp.abs(rates))
-        return body_sweep(robot, x, own).travel, within, pair_travel_bound(robot, rows, x, own), tcp_sweep(robot, x, own)
+        return (
+            body_sweep(robot, x, own).travel,
+            within,
+            pair_travel_bound(robot, rows, x, own),
+            tcp_sweep(robot, x, own),
+        )
 
     frames = jax.jit(jax.vmap(partial(kinematics.link_poses, robot)))
     bounded, rng, tightest = jax.jit(bounds), np.random.default_rng(4), 0.0

@@ -23,6 +23,8 @@ from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import checked_shape, product
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Vector3
 
+Links = tuple[int, ...] | Int[Anywhere, "*n"]  # index of each point's link, -1 for the world
+
 
 def link_poses(robot: Robot, x: Joints) -> Float[Array, "J 4 4"]:
     """Return T_world_link, the frame of every link in the world [m]."""
@@ -129,7 +131,7 @@ def tip_bounds(robot: Robot) -> TipBounds:
     ends = np.concatenate([np.asarray(end)[last] for end in (robot.capsule_p, robot.capsule_q)])
     tip = np.linalg.norm(np.vstack([ends, np.asarray(robot.T_link_tcp)[:3, 3]]), axis=1).max()
     speeds = np.where(slides, 1.0, np.append(np.cumsum(links[::-1])[::-1], 0.0) + tip)
-    bounds = TipBounds(speeds, robot.capsule_link[last[0]] == robot.tcp_link)
+    bounds = TipBounds(speeds, bool(robot.capsule_link[last[0]] == robot.tcp_link))
     if np.isinf(travel[1:]).any():
         after = np.triu(np.ones((len(slides), len(slides))), 1)
         bounds = bounds._replace(open_slides=np.where(slides[:, None] | ~np.isinf(travel), 0.0, after))
@@ -181,9 +183,7 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     return _velocities(robot, links, tcp[None])[0].T
 
 
-def point_jacobians(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"]
-) -> Float[Array, "P 3 N"]:
+def point_jacobians(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3 N"]:
     """Return the translational Jacobians of points that are fixed to links [m/rad or m/m].
 
     Joints that do not move a point's link do not move the point: their columns are zero.
@@ -197,9 +197,7 @@ def point_jacobians(
     return by_coordinates(robot, by_joint(robot, x, points, links))
 
 
-def by_joint(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"] | None
-) -> Float[Array, "P 3 J"]:
+def by_joint(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links | None) -> Float[Array, "P 3 J"]:
     """Return the Jacobians of points by the joints q, see `point_jacobians`; links None: every joint moves them."""
     if links is None:
         return _velocities(robot, _link_frames(robot, x), points).swapaxes(1, 2)
@@ -234,9 +232,7 @@ def joint_positions(robot: Robot, x: Joints) -> Float[Array, "J"]:
     return x if robot.coupling is None else product(robot.coupling.factors, x) + robot.coupling.offsets
 
 
-def point_positions(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...]
-) -> Float[Array, "P 3"]:
+def point_positions(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3"]:
     """Return the positions in the world [m] of points that are fixed to links.
 
     Args:
@@ -248,7 +244,7 @@ def point_positions(
     return _to_world(_frames_of(robot, x, links), points)
 
 
-def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
+def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3"]:
     """Rotate directions that are fixed to links into the world; lengths are preserved.
 
     Args:
@@ -261,7 +257,7 @@ def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tup
 
 
 def direction_jacobians(
-    robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: tuple[int, ...]
+    robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: Links
 ) -> Float[Array, "P 3 N"]:
     """Return the Jacobians of `directions`: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
 
@@ -297,7 +293,9 @@ def with_free_joints(robot: Robot) -> Robot:
     if robot.coupling is None:
         return robot
     joints = len(robot.slides)
-    own = dataclasses.replace(robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=robot.slides)
+    own = dataclasses.replace(
+        robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=tuple(robot.slides)
+    )
     return dataclasses.replace(robot, joint_names=own.joint_names, coupling=own)
 
 
@@ -380,7 +378,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     return found
 
 
-def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
+def _frames_of(robot: Robot, x: Joints, links: Links) -> _Frames:
     """Return the frames of the given links, -1 for the world."""
     moving = _link_frames(robot, x)
     world = jnp.eye(3, 4, dtype=moving.origin.dtype)[None]
@@ -402,7 +400,7 @@ def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n
     return product(frames.rotation, points[..., None])[..., 0] + frames.origin
 
 
-def _frame_at(frames: _Frames, index: int | np.ndarray) -> _Frames:
+def _frame_at(frames: _Frames, index: int | np.ndarray | Array) -> _Frames:
     return _Frames(frames.rotation[index], frames.origin[index])
 
 

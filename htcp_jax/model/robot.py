@@ -94,10 +94,10 @@ class Robot:
     speed: Joints  # [rad/s or m/s], inf where the model sets no limit
     acceleration: Joints  # [rad/s2 or m/s2], inf where the model sets no limit
     effort: Joints  # [N m or N], inf where the model sets no limit
-    capsule_p: Float[Anywhere, "K 3"]  # first ends of the axes, in the frame of the capsule's link [m]
-    capsule_q: Float[Anywhere, "K 3"]  # second ends [m]; a sphere has p == q
-    capsule_radius: Float[Anywhere, "K"]  # [m]
-    on_tool: Float[Anywhere, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
+    capsule_p: Float[Array, "K 3"]  # first ends of the axes, in the frame of the capsule's link [m]
+    capsule_q: Float[Array, "K 3"]  # second ends [m]; a sphere has p == q
+    capsule_radius: Float[Array, "K"]  # [m]
+    on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
     name: str = dataclasses.field(metadata=LABEL)
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of the coordinates
     slides: tuple[bool, ...] | Bool[Anywhere, "J"] = dataclasses.field(
@@ -135,7 +135,7 @@ class Robot:
     @property
     def sliding(self) -> tuple[bool, ...]:
         """True for coordinates that are sliding joints."""
-        return self.slides if self.coupling is None else self.coupling.slides
+        return tuple(self.slides) if self.coupling is None else self.coupling.slides
 
     @property
     def parents(self) -> tuple[int, ...]:
@@ -229,17 +229,17 @@ def for_programs(robot: Robot) -> Robot:
     if pieces is not None:
         pieces = jax.tree.map(lambda leaf: np.asarray(leaf)[taken], pieces)
         pieces = pieces._replace(excess_m=np.where(is_body, pieces.excess_m, 0.0))
-    return dataclasses.replace(
-        robot,
-        capsule_p=p,
-        capsule_q=q,
-        capsule_radius=np.where(is_body, radius, -FAR_M),
-        on_tool=np.where(is_body[:, None], on_tool, 0.0),
-        slides=np.array(robot.slides),
-        capsule_link=body_links(robot)[taken],
-        capsule_names=("",) * count,
-        pieces=pieces,
-    )
+    data = {
+        "capsule_p": p,
+        "capsule_q": q,
+        "capsule_radius": np.where(is_body, radius, -FAR_M),
+        "on_tool": np.where(is_body[:, None], on_tool, 0.0),
+        "slides": np.array(robot.slides),
+        "capsule_link": body_links(robot)[taken],
+        "pieces": pieces,
+    }
+    unread = {"capsule_names": ("",) * count, "ignored_geoms": (), "omitted": (), "listed": False}
+    return dataclasses.replace(robot, **jax.device_put(data), **unread)
 
 
 def core_radius(robot: Robot) -> Float[Array, "K"]:
@@ -272,7 +272,7 @@ def capsule_label(robot: Robot, name: str) -> str:
     own = tuple(frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
     if not own or name.startswith(own):
         return name
-    return f"{own[0]} ({name})" if has_piece or robot.capsule_link.count(link) > 1 else own[0]
+    return f"{own[0]} ({name})" if has_piece or body_links(robot).tolist().count(link) > 1 else own[0]
 
 
 def mesh_note(
