@@ -59,7 +59,8 @@ class RowPairs(NamedTuple):
 
     def links(self, robot: Robot) -> Int[Anywhere, "R"]:
         """Return the link of each row's body."""
-        return robots.body_links(robot)[self.body]
+        links = robots.body_links(robot)
+        return (links if isinstance(self.body, np.ndarray) else jnp.asarray(links))[self.body]
 
 
 class Contacts(NamedTuple):
