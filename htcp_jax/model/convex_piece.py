@@ -81,8 +81,8 @@ def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
 
 
 def padded_size(size: float) -> int:
-    """Return the smallest of 8, 16, 32, ... that is not less than `size`: few sizes, so that arms share executables."""
-    return next(2**k for k in counting(3) if 2**k >= size)
+    """Return the smallest of 6, 12, 24, ... that is not less than `size`: few sizes, so that arms share executables."""
+    return next(6 * 2**k for k in counting() if 6 * 2**k >= size)
 
 
 def body_pieces(pieces: list[ConvexPiece], excess_m: Float[np.ndarray, "K"]) -> BodyPieces:

@@ -10,7 +10,6 @@ this package "world" means the root's frame; `Robot.world` is the workshop's fra
 """
 
 import dataclasses
-from itertools import count as counting
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -25,6 +24,7 @@ from htcp_jax.pytree import LABEL, STRUCTURE, register_pytree
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Scalar, Triple
 
 FAR_M = 1e6  # distance between bodies that are not tested against each other
+BODIES = 8  # programs are compiled for a multiple of this number of bodies
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
@@ -219,7 +219,7 @@ def for_programs(robot: Robot) -> Robot:
         robot: A robot without labels in which no joint follows another.
     """
     bodies = len(robot.capsule_link)
-    count = next(size for k in counting(3) if (size := 2**k) >= bodies)
+    count = -(-bodies // BODIES) * BODIES
     is_body = np.arange(count) < bodies
     taken = np.where(is_body, np.arange(count), 0)
     p, q, radius, on_tool = (
