@@ -1,0 +1,125 @@
+"""Small jobs whose executables serve most users' jobs: what `htcp prepare` plans.
+
+An executable depends on the number of joints and on the sizes of arrays, which are padded to few sizes, see
+`Scene.for_programs`. A typical job has the sizes of a usual one: an arm from a file with meshes, with a torch; a part
+from a mesh; a floor and a table; a direction of the tool. It is easy to plan, far from all obstacles.
+"""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+from htcp_jax import jobs
+from htcp_jax.api import Plan
+from htcp_jax.clearance.obstacles import SelfCollision
+from htcp_jax.io.robots import gp50
+from htcp_jax.model import Robot, body_pieces, kinematics, make_piece
+from htcp_jax.motion import Execution, Problem
+from htcp_jax.planning import Progress, batch
+
+METHOD = "beam"
+BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
+HOME = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # of the GP50 [rad]
+CORNERS = 48  # at each end of a body's convex piece, which is a prism
+AHEAD_M, ASIDE_M = 0.25, 5.0  # distances of the part from the TCP, and of the cell from the arm
+JOB = {
+    "workpiece": {"cloud": "plate.stl", "mesh_spacing_m": 0.001, "path": "seam.csv", "interior": "none"},
+    "cell": {"model": "cell.xml", "self_collision": False},
+    "task": [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": "-path.normal"}],
+    "start_rad": "auto",
+}
+CELL = f"""<mujoco><worldbody><geom type="plane" size="0 0 1" pos="0 0 {-ASIDE_M}"/>
+<geom type="box" size="0.1 0.1 0.1" pos="{-ASIDE_M} 0 0"/></worldbody></mujoco>"""
+
+
+def plan_typical_job(
+    joints: int, folder: Path, device: str | None, progress: Callable[[Progress], None] | None
+) -> None:
+    """Plan a typical job of an arm with 6, 7 or 8 joints, and write its results, as `htcp plan` does.
+
+    Args:
+        joints: Number of joints.
+        folder: An empty folder for the job's files and its results.
+        device: Name of the device; None: a GPU if there is one.
+        progress: Function that is called with the `Progress` when it changes.
+    """
+    robot, home = _arm(joints), np.zeros(joints)
+    home[joints > 6 :][:6] = HOME
+    _write_scene(folder, np.asarray(kinematics.tcp_pose(robot, jnp.asarray(home))))
+    own = {"home_rad": home.tolist(), "settings": {"q_weights": [1.0] * joints}}
+    (folder / "job.yaml").write_text(json.dumps(JOB | own))
+    job = jobs.resolve(jobs.load_config(folder / "job.yaml"), robot, "job.yaml")
+    workpiece = jobs.build.workpiece_of(job.workpiece, robot)
+    scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
+    obstacles = (*jobs.build.obstacles_of(job.cell, robot), SelfCollision(_pairs(robot)[: PAIRS[joints]]))
+    execution = Execution(device, warm_up=(METHOD,))
+    problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
+    plans = batch.plan(problem, METHOD, progress)
+    Plan(job, robot, workpiece, scenario, plans, obstacles, device).write(folder)
+
+
+def _arm(joints: int) -> Robot:
+    """Return the GP50 with 6 joints, on a rail with 7, and with a further hinge at its end with 8."""
+    robot = gp50()
+    if joints > 6:
+        robot = _with_joint(robot, 0, (1.0, 0.0, 0.0), True)
+    if joints > 7:
+        robot = _with_joint(robot, joints - 1, (0.0, 0.0, 1.0), False)
+    return _with_pieces(robot, BODIES[joints])
+
+
+def _with_joint(robot: Robot, k: int, axis: tuple[float, float, float], slides: bool) -> Robot:
+    """Return the arm with a further joint number k, by which it can move 1 m or turn 1 rad to either side."""
+    more = {"T_parent_joint": np.eye(4), "axis": axis, "lower": -1.0, "upper": 1.0}
+    more |= {"speed": np.inf, "acceleration": np.inf, "effort": np.inf}
+    links = tuple(link + (link >= k or k == robot.dof) for link in robot.capsule_link)
+    return dataclasses.replace(
+        robot,
+        **{name: jnp.asarray(np.insert(getattr(robot, name), k, value, axis=0)) for name, value in more.items()},
+        joint_names=(*robot.joint_names[:k], "more", *robot.joint_names[k:]),
+        slides=(*robot.slides[:k], slides, *robot.slides[k:]),
+        capsule_link=links,
+        frames=(),
+    )
+
+
+def _with_pieces(robot: Robot, count: int) -> Robot:
+    """Return the arm with each body several times, `count` bodies in all, and with a convex piece in each."""
+    which = np.arange(count) % len(robot.capsule_link)
+    names = tuple(f"{robot.capsule_names[k]} {nth}" for nth, k in enumerate(which.tolist()))
+    own = {name: getattr(robot, name)[which] for name in ("capsule_p", "capsule_q", "capsule_radius", "on_tool")}
+    links = tuple(robot.capsule_link[k] for k in which.tolist())
+    radius = np.asarray(own["capsule_radius"])
+    sides = [_prism(*np.asarray([own["capsule_p"][k], own["capsule_q"][k]]), 0.9 * radius[k]) for k in range(count)]
+    pieces = body_pieces([make_piece(corners) for corners in sides], radius)
+    return dataclasses.replace(robot, **own, capsule_names=names, capsule_link=links, pieces=pieces)
+
+
+def _prism(p: np.ndarray, q: np.ndarray, radius_m: float) -> np.ndarray:
+    """Return the corners of a prism about the segment from p to q [m]."""
+    along = q - p if (q != p).any() else np.array([0.0, 0.0, radius_m])
+    across = np.linalg.svd(along[None])[2][1:]
+    angle = 2 * np.pi * np.arange(CORNERS) / CORNERS
+    ring = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
+    return np.concatenate([p + ring, p + along + ring])
+
+
+def _pairs(robot: Robot) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of bodies on links that are not neighbours."""
+    link, bodies = robot.capsule_link, range(len(robot.capsule_link))
+    return tuple((a, b) for a in bodies for b in bodies if link[a] > link[b] + 1)
+
+
+def _write_scene(folder: Path, T_world_tcp: np.ndarray) -> None:
+    """Write the part, a seam of three points at the TCP, and the cell."""
+    at, z = T_world_tcp[:3, 3], T_world_tcp[:3, 2]
+    rows = [",".join(map(str, [*(at + [0, 1e-3 * k, 0]), *-z])) for k in range(3)]
+    (folder / "seam.csv").write_text("\n".join(["x,y,z,nx,ny,nz", *rows, ""]))
+    plate = trimesh.creation.box(extents=(0.3, 0.3, 0.001))
+    plate.apply_translation(at + AHEAD_M * z).export(folder / "plate.stl")
+    (folder / "cell.xml").write_text(CELL)
