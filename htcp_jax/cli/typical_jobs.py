@@ -7,7 +7,6 @@ from a mesh; a floor and a table; a direction of the tool. It is easy to plan, f
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -20,15 +19,14 @@ from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.io.robots import gp50
 from htcp_jax.model import Robot, body_pieces, kinematics, make_piece
 from htcp_jax.motion import Execution, Problem
-from htcp_jax.planning import Progress, batch
+from htcp_jax.planning import batch
 
-METHOD = "beam"
 BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
-HOME = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # of the GP50 [rad]
+AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
 CORNERS = 48  # at each end of a body's convex piece, which is a prism
 AHEAD_M, ASIDE_M = 0.25, 5.0  # distances of the part from the TCP, and of the cell from the arm
 JOB = {
-    "workpiece": {"cloud": "plate.stl", "mesh_spacing_m": 0.001, "path": "seam.csv", "interior": "none"},
+    "workpiece": {"cloud": "plate.stl", "mesh_spacing_m": 0.002, "path": "seam.csv", "interior": "none"},
     "cell": {"model": "cell.xml", "self_collision": False},
     "task": [{"point": "tcp", "on": "path"}, {"axis": "tcp.z", "towards": "-path.normal"}],
     "start_rad": "auto",
@@ -37,30 +35,25 @@ CELL = f"""<mujoco><worldbody><geom type="plane" size="0 0 1" pos="0 0 {-ASIDE_M
 <geom type="box" size="0.1 0.1 0.1" pos="{-ASIDE_M} 0 0"/></worldbody></mujoco>"""
 
 
-def plan_typical_job(
-    joints: int, folder: Path, device: str | None, progress: Callable[[Progress], None] | None
-) -> None:
-    """Plan a typical job of an arm with 6, 7 or 8 joints, and write its results, as `htcp plan` does.
+def typical_plan(joints: int, folder: Path, device: str | None) -> Plan:
+    """Return the plan of a typical job of an arm with 6, 7 or 8 joints.
 
     Args:
         joints: Number of joints.
-        folder: An empty folder for the job's files and its results.
+        folder: An empty folder for the job's files.
         device: Name of the device; None: a GPU if there is one.
-        progress: Function that is called with the `Progress` when it changes.
     """
-    robot, home = _arm(joints), np.zeros(joints)
-    home[joints > 6 :][:6] = HOME
-    _write_scene(folder, np.asarray(kinematics.tcp_pose(robot, jnp.asarray(home))))
-    own = {"home_rad": home.tolist(), "settings": {"q_weights": [1.0] * joints}}
+    robot, x = _arm(joints), np.zeros(joints)
+    x[joints > 6 :][:6] = AT_SEAM
+    _write_scene(folder, np.asarray(kinematics.tcp_pose(robot, jnp.asarray(x))))
+    own = {"settings": {"q_weights": [1.0] * joints}}
     (folder / "job.yaml").write_text(json.dumps(JOB | own))
     job = jobs.resolve(jobs.load_config(folder / "job.yaml"), robot, "job.yaml")
     workpiece = jobs.build.workpiece_of(job.workpiece, robot)
     scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
     obstacles = (*jobs.build.obstacles_of(job.cell, robot), SelfCollision(_pairs(robot)[: PAIRS[joints]]))
-    execution = Execution(device, warm_up=(METHOD,))
-    problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
-    plans = batch.plan(problem, METHOD, progress)
-    Plan(job, robot, workpiece, scenario, plans, obstacles, device).write(folder)
+    problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, Execution(device))
+    return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
 
 
 def _arm(joints: int) -> Robot:
