@@ -1,12 +1,11 @@
 """`htcp prepare`: compile what the first plans of most jobs wait for."""
 
-import tempfile
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 from htcp_jax.cli.output import Device, claim_device, progress_text, stdout
+from htcp_jax.system import temporary_folder
 
 JOINTS = 6, 7, 8
 
@@ -24,12 +23,12 @@ def prepare(device: Device = None) -> int:
     """
     claim_device(device)
     began = time.perf_counter()
-    with progress_text("arms with 6, 7 and 8 joints"), tempfile.TemporaryDirectory() as folder:
+    with progress_text("arms with 6, 7 and 8 joints"), temporary_folder() as folder:
         from htcp_jax.caching import cache_folder
         from htcp_jax.cli.typical_jobs import typical_plan
 
         cache_folder.enable()
-        folders = [Path(folder, str(joints)) for joints in JOINTS]
+        folders = [folder / str(joints) for joints in JOINTS]
         for each in folders:
             each.mkdir()
         pool = ThreadPoolExecutor(len(JOINTS))  # compiled together, so that no core waits for the last function of one

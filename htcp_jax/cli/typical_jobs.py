@@ -20,6 +20,7 @@ from htcp_jax.io.robots import gp50
 from htcp_jax.model import Robot, body_pieces, kinematics, make_piece
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
+from htcp_jax.system import files
 
 BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
 AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
@@ -47,7 +48,7 @@ def typical_plan(joints: int, folder: Path, device: str | None) -> Plan:
     x[joints > 6 :][:6] = AT_SEAM
     _write_scene(folder, np.asarray(kinematics.tcp_pose(robot, jnp.asarray(x))))
     own = {"settings": {"q_weights": [1.0] * joints}}
-    (folder / "job.yaml").write_text(json.dumps(JOB | own))
+    files.write_atomically(folder, "job.yaml", json.dumps(JOB | own).encode())
     job = jobs.resolve(jobs.load_config(folder / "job.yaml"), robot, "job.yaml")
     workpiece = jobs.build.workpiece_of(job.workpiece, robot)
     scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
@@ -111,8 +112,9 @@ def _pairs(robot: Robot) -> tuple[tuple[int, int], ...]:
 def _write_scene(folder: Path, T_world_tcp: np.ndarray) -> None:
     """Write the part, a seam of three points at the TCP, and the cell."""
     at, z = T_world_tcp[:3, 3], T_world_tcp[:3, 2]
-    rows = [",".join(map(str, [*(at + [0, 1e-3 * k, 0]), *-z])) for k in range(3)]
-    (folder / "seam.csv").write_text("\n".join(["x,y,z,nx,ny,nz", *rows, ""]))
+    points = at + np.outer(range(3), [0.0, 1e-3, 0.0])
+    rows = [",".join(map(str, [*point, *-z])) for point in points]
+    files.write_atomically(folder, "seam.csv", "\n".join(["x,y,z,nx,ny,nz", *rows, ""]).encode())
     plate = trimesh.creation.box(extents=(0.3, 0.3, 0.001))
     plate.apply_translation(at + AHEAD_M * z).export(folder / "plate.stl")
-    (folder / "cell.xml").write_text(CELL)
+    files.write_atomically(folder, "cell.xml", CELL.encode())

@@ -18,7 +18,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.model.coupling import moved_by
-from htcp_jax.model.robot import Robot, body_links
+from htcp_jax.model.robot import Robot
 from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import checked_shape, product
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Vector3
@@ -70,7 +70,7 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
 
 def _on_last_link(robot: Robot) -> Bool[Anywhere, "K"]:
     """Return True for the capsules of the chain's last link that has capsules, except fixtures."""
-    links = body_links(robot)
+    links = robot.body_links
     where = np.where if isinstance(links, np.ndarray) else jnp.where
     links = where((links > robot.tcp_link) | np.isin(np.arange(len(links)), robot.attached), -2, links)
     return links == links.max()

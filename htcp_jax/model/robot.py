@@ -138,6 +138,16 @@ class Robot:
         return tuple(self.slides) if self.coupling is None else self.coupling.slides
 
     @property
+    def body_links(self) -> Int[Anywhere, "K"]:
+        """The link of each body, -1 for the world; on the host, except in programs."""
+        return np.array(self.capsule_link, int) if isinstance(self.capsule_link, tuple) else self.capsule_link
+
+    @property
+    def hinges(self) -> Bool[Anywhere, "J"]:
+        """True for joints that are hinges; on the host, except in programs."""
+        return ~(np.array(self.slides) if isinstance(self.slides, tuple) else self.slides)
+
+    @property
     def parents(self) -> tuple[int, ...]:
         """The link that carries each joint; -1 is the world."""
         return tuple(range(-1, len(self.slides) - 1)) if self.coupling is None else self.coupling.parents
@@ -205,11 +215,6 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
-def body_links(robot: Robot) -> Int[Anywhere, "K"]:
-    """Return the link of each body, -1 for the world; on the host, except in programs."""
-    return np.array(robot.capsule_link, int) if isinstance(robot.capsule_link, tuple) else robot.capsule_link
-
-
 def for_programs(robot: Robot) -> Robot:
     """Return a robot whose structure is data in compiled functions, with padding up to one of few numbers of bodies.
 
@@ -235,11 +240,12 @@ def for_programs(robot: Robot) -> Robot:
         "capsule_radius": np.where(is_body, radius, -FAR_M),
         "on_tool": np.where(is_body[:, None], on_tool, 0.0),
         "slides": np.array(robot.slides),
-        "capsule_link": body_links(robot)[taken],
+        "capsule_link": robot.body_links[taken],
         "pieces": pieces,
     }
     unread = {"capsule_names": ("",) * count, "ignored_geoms": (), "omitted": (), "listed": False}
-    return dataclasses.replace(robot, **jax.device_put(data), **unread)
+    found: Robot = dataclasses.replace(robot, **{**jax.device_put(data), **unread})
+    return found
 
 
 def core_radius(robot: Robot) -> Float[Array, "K"]:
@@ -272,7 +278,7 @@ def capsule_label(robot: Robot, name: str) -> str:
     own = tuple(frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
     if not own or name.startswith(own):
         return name
-    return f"{own[0]} ({name})" if has_piece or body_links(robot).tolist().count(link) > 1 else own[0]
+    return f"{own[0]} ({name})" if has_piece or robot.body_links.tolist().count(link) > 1 else own[0]
 
 
 def mesh_note(

@@ -59,7 +59,7 @@ class RowPairs(NamedTuple):
 
     def links(self, robot: Robot) -> Int[Anywhere, "R"]:
         """Return the link of each row's body."""
-        links = robots.body_links(robot)
+        links = robot.body_links
         return (links if isinstance(self.body, np.ndarray) else jnp.asarray(links))[self.body]
 
 

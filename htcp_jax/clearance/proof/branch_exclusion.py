@@ -29,7 +29,6 @@ from htcp_jax.clearance.proof.exclusion import (
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, axis_angle_matrix, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
-from htcp_jax.model.robot import body_links
 from htcp_jax.numerics import joined, product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -280,7 +279,7 @@ def _on_arm(robot: Robot, own: Branch, ball: tuple[Vector3, Scalar], use: Int[Ar
 
     A second bound for bodies of the last two of these links: their distance from the wrist, which stays in a ball.
     """
-    links = joined([body_links(robot)] * 2)
+    links = joined([robot.body_links] * 2)
     here = jnp.asarray((links >= 0) & (links <= 3))
     wrist, ends = exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p, robot.capsule_q])
     at = kinematics.point_positions(robot, own.x, jnp.concatenate([wrist[None], ends]), joined([np.array([3]), links]))

@@ -275,7 +275,7 @@ def _before_wrist(robot: Robot):
     Returns:
         Ends p and q [m], radius [m], distance from the joint's axis [m], and link of each piece.
     """
-    first, links = len(robot.slides) - WRIST, robots.body_links(robot)
+    first, links = len(robot.slides) - WRIST, robot.body_links
     here = jnp.asarray((links >= 0) & (links <= first))
     bodies = robot.capsule_p, robot.capsule_q, robots.core_radius(robot), jnp.where(here, 0.0, UNUSED_M)
     p, q, radius, unused = cut_capsules(SweptCapsules(*bodies))

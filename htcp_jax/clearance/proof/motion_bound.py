@@ -42,7 +42,6 @@ import numpy as np
 from htcp_jax.clearance.distance.sweep import BodySweep
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.model import Robot, joints_between, kinematics
-from htcp_jax.model.robot import body_links
 from htcp_jax.numerics import joined, safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
@@ -237,7 +236,7 @@ def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Anywhe
 
 def _axis_ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
     """Return both ends of every body's axis [m], first all p, then all q, and their links."""
-    return jnp.concatenate(segments), joined([body_links(robot)] * 2)
+    return jnp.concatenate(segments), joined([robot.body_links] * 2)
 
 
 def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
@@ -258,7 +257,7 @@ def _bounds(
 
     The motion is seen from the world, or from the links `others`.
     """
-    hinge = ~np.array(robot.slides) if isinstance(robot.slides, tuple) else ~robot.slides
+    hinge = robot.hinges
     if robot.coupling is None:
         columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
         own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
