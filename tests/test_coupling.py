@@ -353,4 +353,4 @@ def test_a_rod_counts_as_a_body_of_the_link_that_carries_it():
     floor = [("floor", HalfSpace(jnp.array([0.0, 0.0, 1.0]), jnp.array(0.02)))]
     for coupling, is_checked in ((robot.coupling, True), (pedestal, False)):
         arm = dataclasses.replace(robot, coupling=coupling)
-        assert np.asarray(fixtures(arm, floor).is_checked).tolist() == [[True, True, is_checked]]
+        assert np.asarray(fixtures(arm, floor).is_checked)[0].tolist() == [True, True, is_checked]

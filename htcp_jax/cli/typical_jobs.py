@@ -7,6 +7,7 @@ from a mesh; a floor and a table; a direction of the tool. It is easy to plan, f
 
 import dataclasses
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -17,12 +18,14 @@ from htcp_jax import jobs
 from htcp_jax.api import Plan
 from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.io.robots import gp50
-from htcp_jax.model import Robot, body_pieces, kinematics, make_piece
+from htcp_jax.model import Robot, Workpiece, body_pieces, kinematics, make_piece
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
+from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
 BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
+HARD = {6}  # numbers of joints for which functions for hard targets are compiled, too
 AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
 CORNERS = 48  # at each end of a body's convex piece, which is a prism
 AHEAD_M, ASIDE_M = 0.25, 5.0  # distances of the part from the TCP, and of the cell from the arm
@@ -36,24 +39,38 @@ CELL = f"""<mujoco><worldbody><geom type="plane" size="0 0 1" pos="0 0 {-ASIDE_M
 <geom type="box" size="0.1 0.1 0.1" pos="{-ASIDE_M} 0 0"/></worldbody></mujoco>"""
 
 
-def typical_plan(joints: int, folder: Path, device: str | None) -> Plan:
-    """Return the plan of a typical job of an arm with 6, 7 or 8 joints.
+def typical_plans(folder: Path, device: str | None) -> list[Plan]:
+    """Return the plans of typical jobs, one for each number of joints in `BODIES`.
+
+    They are made at the same time, so that no core waits for the last function of one.
 
     Args:
-        joints: Number of joints.
-        folder: An empty folder for the job's files.
+        folder: An empty folder for the jobs' files.
         device: Name of the device; None: a GPU if there is one.
     """
-    robot, x = _arm(joints), np.zeros(joints)
-    x[joints > 6 :][:6] = AT_SEAM
-    _write_scene(folder, np.asarray(kinematics.tcp_pose(robot, jnp.asarray(x))))
-    own = {"settings": {"q_weights": [1.0] * joints}}
-    files.write_atomically(folder, "job.yaml", json.dumps(JOB | own).encode())
-    job = jobs.resolve(jobs.load_config(folder / "job.yaml"), robot, "job.yaml")
-    workpiece = jobs.build.workpiece_of(job.workpiece, robot)
+    arms = [_arm(joints) for joints in BODIES]
+    _write_scene(folder, np.asarray(kinematics.tcp_pose(arms[0], jnp.asarray(AT_SEAM))))
+    workpiece = jobs.build.workpiece_of(_job(folder, arms[0]).workpiece, arms[0])
+    pool = ThreadPoolExecutor(len(arms))
+    try:
+        return list(pool.map(lambda robot: _plan(_job(folder, robot), robot, workpiece, device), arms))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _job(folder: Path, robot: Robot) -> PlanConfig:
+    """Return the job of an arm, whose weights are all 1, as those of users' arms are."""
+    own, name = JOB | {"settings": {"q_weights": [1.0] * robot.dof}}, f"{robot.dof}.yaml"
+    files.write_atomically(folder, name, json.dumps(own).encode())
+    return jobs.resolve(jobs.load_config(folder / name), robot, name)
+
+
+def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | None) -> Plan:
     scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
-    obstacles = (*jobs.build.obstacles_of(job.cell, robot), SelfCollision(_pairs(robot)[: PAIRS[joints]]))
-    problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, Execution(device))
+    pairs = SelfCollision(_pairs(robot)[: PAIRS[robot.dof]])
+    obstacles = (*jobs.build.obstacles_of(job.cell, robot), pairs)
+    execution = Execution(device, warm_up=("beam",) if robot.dof in HARD else ())
+    problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
     return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
 
 

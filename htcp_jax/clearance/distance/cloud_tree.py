@@ -47,7 +47,10 @@ AWAY_M = 1e7  # position of clusters without points, which no search opens
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of them."""
-    return jax.device_put(_host_index(points))  # in the final types: JAX compiles every conversion
+    index = _host_index(points)
+    if backend().is_cpu:
+        index = _padded(index, next(size for size in SIZES if size >= index.levels[0].shape[2]))
+    return jax.device_put(index)  # in the final types: JAX compiles every conversion
 
 
 @cached_by_values(2)
@@ -62,12 +65,11 @@ def _host_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     bounds = [bounding_discs(points[rows.reshape(count, -1)]) for count in counts]
     levels = [b.reshape(parents, -1, 8).transpose(0, 2, 1) for b, parents in zip(bounds, [1, *counts], strict=False)]
     leaves = rows.reshape(-1, FAN)
-    index = CloudIndex(
+    return CloudIndex(
         levels=tuple(level.astype(np.float32) for level in levels),
         points=points[leaves].transpose(0, 2, 1),
         rows=leaves.astype(np.int32),
     )
-    return _padded(index, next(size for size in SIZES if size >= top)) if backend().is_cpu else index
 
 
 def _padded(index: CloudIndex, top: int) -> CloudIndex:
