@@ -18,8 +18,10 @@ CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp
 .PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz strangers lock \
 	release-check clean
 
-demo: $(VENV)/.installed  ## plan the default job
+demo: $(VENV)/.installed  ## plan the default job, and compile what the first plans of other jobs need
 	$(VENV)/bin/htcp plan
+	@echo "Next: programs for your own jobs, two minutes on two cores; htcp prepare goes on after Ctrl-C"
+	$(VENV)/bin/htcp prepare
 
 lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations, types
 	$(VENV)/bin/ruff check .

@@ -114,10 +114,11 @@ def compare(file: Path, folder: Path, count: int) -> list[Compared]:
     """Compare every kind of shape, and pairs of the arm's capsules, at `count` configurations."""
     arm, robot = MujocoArm(file), load_robot(file)
     (fixed,), own = make_fixtures(robot, load_cell(write_cell(folder, SOLID))), make_self_collision(robot)
-    x = drawn(robot, count)
-    ours, pairs = np.asarray(shape_distances(robot, fixed, jnp.asarray(x))), distances(robot, own.pairs, x)
-    theirs, their_pairs = _theirs(arm, write_cell(folder, AS_MESH), fixed.names, own.pairs, x)
-    rows = [compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(fixed.names)]
+    x, named = drawn(robot, count), [k for k, name in enumerate(fixed.names) if name]  # the others are padding
+    names = [fixed.names[k] for k in named]
+    ours, pairs = np.asarray(shape_distances(robot, fixed, jnp.asarray(x)))[:, named], distances(robot, own.pairs, x)
+    theirs, their_pairs = _theirs(arm, write_cell(folder, AS_MESH), names, own.pairs, x)
+    rows = [compared(name, ours[:, k], theirs[:, k]) for k, name in enumerate(names)]
     apart = pairs > -CROSSING * arm.radius[np.array(own.pairs)].sum(axis=1)
     return [*rows, compared("itself", pairs[apart], their_pairs[apart])]
 

@@ -1,7 +1,8 @@
 """Numerical primitives whose value and gradient are defined everywhere, and small linear algebra for vmap."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import count as counting
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend
 from htcp_jax.errors import InputError
-from htcp_jax.types import Array, Float, Int, Joints, Scalar
+from htcp_jax.types import Anywhere, Array, Float, Int, Joints, Scalar
 
 
 def checked_shape(value: object, shape: tuple[int, ...], name: str) -> Float[Array, "..."]:
@@ -203,6 +204,30 @@ def solve_spd_scalars(a, b, floor: float) -> list[Scalar]:
         dot = sum((factor[k][i] * x[k] for k in range(i + 1, n)), start=jnp.zeros(()))
         x[i] = (y[i] - dot) / factor[i][i]
     return x
+
+
+def joined(parts: Sequence[Anywhere]) -> Anywhere:
+    """Return arrays one after the other; on the host if all of them are there, as in code that is not traced."""
+    on_host = all(isinstance(part, np.ndarray) for part in parts)
+    return np.concatenate(parts) if on_host else jnp.concatenate(parts)
+
+
+def padded_count(count: int) -> int:
+    """Return the smallest of 1, 2, 4, 6, 8, 12, 16, 24, 32, ... that is not less than `count`; 0 for 0.
+
+    Arrays with one of few lengths let most scenes share executables.
+    """
+    return next(n for k in counting() for n in (2**k, 3 * 2**k // 2) if n >= count and n != 3) if count else 0
+
+
+def table_size(count: int, least: int = 4) -> int:
+    """Return the smallest of `least`, 4 times that, 16 times that, ... that is not less than `count`."""
+    return next(size for k in counting() if (size := least * 4**k) >= count)
+
+
+def with_repeated(rows: np.ndarray, count: int) -> np.ndarray:
+    """Return `count` rows: the given ones, and the last of them again."""
+    return np.asarray(rows)[np.minimum(np.arange(count), len(rows) - 1)]
 
 
 def ragged_rows(counts: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:

@@ -10,6 +10,7 @@ from typing import TypeVar
 import jax
 
 LABEL = {"static": True, "label": True}
+STRUCTURE = {"structure": True}
 Value = TypeVar("Value")
 
 
@@ -17,18 +18,24 @@ def register_pytree(cls: type) -> type:
     """Register a dataclass as a pytree and return it. Use it as a decorator above `@dataclass(frozen=True)`.
 
     Fields with metadata {"static": True} are not leaves. Fields with metadata LABEL serve messages and files only.
+    Fields with metadata STRUCTURE are static if they are tuples, and leaves if they are arrays: one compiled function
+    then serves all their values.
     """
     fields = dataclasses.fields(cls)
-    leaves = [f.name for f in fields if not f.metadata.get("static")]
-    static = [f.name for f in fields if f.metadata.get("static")]
+    fixed = [f.name for f in fields if f.metadata.get("static")]
+    either = [f.name for f in fields if f.metadata.get("structure")]
+    leaves = [f.name for f in fields if f.name not in (*fixed, *either)]
 
     def flatten(value):
-        keyed = [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in leaves]
-        return keyed, tuple(getattr(value, name) for name in static)
+        static = [*fixed, *(name for name in either if isinstance(getattr(value, name), tuple))]
+        data = [*leaves, *(name for name in either if name not in static)]
+        keyed = [(jax.tree_util.GetAttrKey(name), getattr(value, name)) for name in data]
+        return keyed, tuple((name, getattr(value, name)) for name in static)
 
-    def unflatten(fixed, children):
-        value = object.__new__(cls)
-        for name, content in zip([*leaves, *static], [*children, *fixed], strict=True):
+    def unflatten(static, children):
+        value, known = object.__new__(cls), dict(static)
+        data = [*leaves, *(name for name in either if name not in known)]
+        for name, content in [*zip(data, children, strict=True), *static]:
             object.__setattr__(value, name, content)
         return value
 

@@ -267,7 +267,7 @@ def answer(query, x):
 
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():
     robot, where, own = made_once.robot(), made_once.nominal(), everything()
-    assert len(own.names) == 9 and own.names.count("") == 1 and own.pieces is not None  # "" is a row of padding
+    assert len(own.names) - own.names.count("") == 8 and own.pieces is not None  # "" is a row of padding
     touching = 0
     for x, found, clear, each, *_ in zip(*(leaf[:25] for leaf in answered()[:4]), strict=True):
         every = np.where(own.is_checked, each, np.inf)
@@ -297,7 +297,7 @@ def test_another_cell_of_the_same_kinds_has_the_shapes_of_the_first_so_that_it_c
         leaves, structure = jax.tree.flatten(without_labels(boxes(tmp_path, made_once.robot(), *x)))
         return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
 
-    assert shapes(1.0, 2.0, 3.0) == shapes(-1.0, 0.0, 1.0, 2.0) != shapes(1.0, 2.0)
+    assert shapes(1.0) == shapes(-1.0, 0.0, 1.0, 2.0) != shapes(*range(5))
 
 
 def test_the_fixtures_of_another_arm_compile_nothing(tmp_path):
@@ -313,7 +313,7 @@ def test_the_fixtures_of_another_arm_compile_nothing(tmp_path):
         found = boxes(tmp_path, made_once.seven_joints(tmp_path), 1.0, 2.0, 3.0)
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
-    assert found.names[:2] == ("floor", "box 0") and not compiled
+    assert list(filter(None, found.names)) == ["floor", "box 0", "box 1", "box 2"] and not compiled
 
 
 def test_gradients_and_what_is_held_are_those_of_the_distance():

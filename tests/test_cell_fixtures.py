@@ -67,7 +67,7 @@ def test_the_clearance_of_a_box_on_a_link_is_a_close_lower_bound_on_mujocos(arm,
     surroundings = cell({"name": "camera", "parent": "elbow"})
     robot = build.robot_of(arm, surroundings)
     (posts,) = build.obstacles_of(surroundings, robot)
-    assert posts.names == ("post",) and {robot.capsule_link[k] for k in robot.attached} == {2}
+    assert posts.names == ("post", "", "", "") and {robot.capsule_link[k] for k in robot.attached} == {2}
     light = '<compiler boundmass="1e-6" boundinertia="1e-6"/><worldbody>'
     text = ARM.replace('<geom name="forearm"', CAMERA + '<geom name="forearm"').replace("<worldbody>", light + POST)
     data = mujoco.MjData(model := mujoco.MjModel.from_xml_string(text))
@@ -84,6 +84,7 @@ def test_a_fixture_is_not_tested_against_links_that_it_excludes(arm, cell):
     robot = build.robot_of(arm)
     (found,) = build.obstacles_of(cell({"name": "post", "exclude": ["hand", "plinth"]}), robot)
     is_checked = dict(zip(found.names, np.asarray(found.is_checked).tolist(), strict=True))
+    assert not any(is_checked.pop(""))
     assert robot.capsule_names == ("foot", "forearm", "tool")
     assert is_checked == {"post": [False, True, False], "camera": [False, True, True]}
 

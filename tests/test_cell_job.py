@@ -287,7 +287,7 @@ def test_a_sweep_moves_a_fixture(job, tmp_path):
     assert len(batch.cells) == 2 and batch.cell.tolist() == [0, 0, 1, 1]
     boxes = [next(kind for kind in cell.obstacles[0].simple if isinstance(kind, Box)) for cell in batch.cells]
     offsets = [box.centre for box in boxes]
-    np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(offsets[1] - offsets[0], np.tile(there, (len(offsets[0]), 1)), atol=1e-12)
 
 
 def test_a_sweep_plans_with_and_without_a_cell(job):

@@ -22,8 +22,13 @@ from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles.fixtures import HalfSpace, fixtures
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.clearance.proof import branch_exclusion, exclusion
-from htcp_jax.clearance.proof.interval import row_travel_bound
-from htcp_jax.clearance.proof.motion_bound import JointSweep, body_sweep, motion_bound, tcp_sweep
+from htcp_jax.clearance.proof.motion_bound import (
+    JointSweep,
+    body_sweep,
+    motion_bound,
+    pair_travel_bound,
+    tcp_sweep,
+)
 from htcp_jax.clearance.proof.row_proof import _FeatureSweep
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots.loading import gp50, load_robot
@@ -211,11 +216,16 @@ def test_bodies_on_a_straight_path_move_no_further_than_the_bounds_at_1000_place
     """Rates of the joints are C u': the bounds are tight where opposite followers cancel, too."""
     robot, model = followers()
     bodies = range(len(robot.capsule_link))
-    rows = RowPairs(*zip(*((a, robot.capsule_link[b]) for a in bodies for b in bodies if a != b), strict=True))
+    rows = RowPairs(*np.array([(a, robot.capsule_link[b]) for a in bodies for b in bodies if a != b]).T)
 
     def bounds(x, rates, half):
         own, within = JointSweep(rates, half), motion_bound(robot, x, half * jnp.abs(rates))
-        return body_sweep(robot, x, own).travel, within, row_travel_bound(robot, rows, x, own), tcp_sweep(robot, x, own)
+        return (
+            body_sweep(robot, x, own).travel,
+            within,
+            pair_travel_bound(robot, rows, x, own),
+            tcp_sweep(robot, x, own),
+        )
 
     frames = jax.jit(jax.vmap(partial(kinematics.link_poses, robot)))
     bounded, rng, tightest = jax.jit(bounds), np.random.default_rng(4), 0.0
@@ -337,10 +347,10 @@ def test_a_sweep_names_the_side_branch_by_which_robots_differ():
 
 def test_a_rod_counts_as_a_body_of_the_link_that_carries_it():
     """It is on the inner half of the chain, and stands on what it touches if its drive is hinged on the pedestal."""
-    robot, rows = with_rod(toy.robot()), SimpleNamespace(body=(0, 1, 2))
-    assert seen_rows(SimpleNamespace(robot=robot, rows=rows), False) == (True, True, False)
+    robot, rows = with_rod(toy.robot()), RowPairs(np.arange(3))
+    assert seen_rows(SimpleNamespace(robot=robot, rows=rows), False).tolist() == [True, True, False]
     pedestal = dataclasses.replace(robot.coupling, parents=(-1, 0, 1, 2, -1))
     floor = [("floor", HalfSpace(jnp.array([0.0, 0.0, 1.0]), jnp.array(0.02)))]
     for coupling, is_checked in ((robot.coupling, True), (pedestal, False)):
         arm = dataclasses.replace(robot, coupling=coupling)
-        assert np.asarray(fixtures(arm, floor).is_checked).tolist() == [[True, True, is_checked]]
+        assert np.asarray(fixtures(arm, floor).is_checked)[0].tolist() == [True, True, is_checked]

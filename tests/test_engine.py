@@ -28,6 +28,7 @@ from htcp_jax.solvers.step_qp import QPSolution, QPStatus
 from htcp_jax.status import Status
 
 PAPER = replace(toy.SETTINGS, **made_once.PAPER_CHOICES)
+SHIFTS = (0.0, 0.0, 0.0), (0.0, 0.05, 0.03), (0.03, 0.0, -0.03)
 COMPARED = ("x", "status", "clearance", "residual", "iterations", "recovery")
 
 
@@ -85,6 +86,19 @@ def test_which_phase_goes_first_changes_no_plan_and_on_a_gpu_calls_are_fuller(me
     recovery = "null space 0" if method == "nspace-sqp" else "sample 0"
     lanes, fewer = ([count for name, count in executor.log if name == recovery] for executor in (every, fuller))
     assert sum(fewer) == sum(lanes) and len(fewer) < len(lanes)
+
+
+@pytest.mark.parametrize("method", ["baseline", "nspace-sqp"])
+def test_the_margin_of_a_seam_is_the_one_that_a_plan_keeps(method):
+    """Also at the start of tracking, where a lane that is too near is not called blocked at its tip."""
+    own = [toy.scenario(k, shift=shift, margin_m=0.02) for k, shift in enumerate(SHIFTS)]
+    of_seams = [
+        replace(each, margin_m=np.array(0.0), seam_margins_m=np.tile([0.02, 0.0], (len(each.targets), 1)))
+        for each in own
+    ]
+    ended, expected = (toy.planned(each, method, PAPER, threads=1) for each in (of_seams, own))
+    same(ended, expected)
+    assert (expected.status == Status.TRACKED).any()
 
 
 def test_fewer_slots_than_scenarios_change_no_plan():

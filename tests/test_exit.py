@@ -45,6 +45,7 @@ WORDS = {
     "gate": "gate run --baseline baseline.yaml --markdown out.md",
     "methods": "methods",
     "example": "example pipe out",
+    "prepare": "prepare",
     "doctor": "doctor",
 }
 

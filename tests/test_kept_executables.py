@@ -186,7 +186,7 @@ def test_files_that_were_not_used_for_the_longest_time_are_removed(folder, monke
 
 
 def key_of(lane_function, settings=toy.SETTINGS, tables=(), scene=None):
-    leaves, structure = jax.tree.flatten(((scene or toy.scene()).without_labels(), *tables))
+    leaves, structure = jax.tree.flatten(((scene or toy.scene()).for_programs(), *tables))
     shapes = tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)
     device = jax.devices()[0]
     values = lane_function.values(settings)

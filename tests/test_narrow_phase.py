@@ -343,7 +343,7 @@ def test_a_message_names_the_nearest_body_by_the_pieces_where_they_decide():
     own = SelfCollision(pairs)
     others = [[b for a, b in pairs if (a, arm.capsule_link[b]) == row] for row in zip(*own.rows(arm), strict=True)]
     row = next(k for k, each in enumerate(others) if len(each) > 1)
-    of_row = [SelfCollision(((own.rows(arm).body[row], other),)) for other in others[row]]
+    of_row = [SelfCollision(((int(own.rows(arm).body[row]), other),)) for other in others[row]]
     xs = jnp.asarray(made_once.configurations(arm, 300, seed=3))
 
     def distances_of(arm):

@@ -98,8 +98,8 @@ def test_every_kind_is_an_obstacle_and_the_rows_are_those_of_the_bodies_and_of_t
     robot = made_once.robot()
     assert all(isinstance(each, Obstacle) for each in obstacles())
     rows = rows_of(robot, obstacles())
-    assert rows.body == (*range(8), *(a for a, _ in PAIRS))
-    assert rows.other == (*[-1] * 8, *(robot.capsule_link[b] for _, b in PAIRS))
+    assert rows.body.tolist() == [*range(8), *(a for a, _ in PAIRS)]
+    assert rows.others.tolist() == [*[-1] * 8, *(robot.capsule_link[b] for _, b in PAIRS)]
 
 
 def test_a_bodys_row_is_the_nearest_of_all_kinds_and_a_pair_has_its_own():

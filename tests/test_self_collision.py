@@ -20,8 +20,7 @@ from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
 from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, samples
 from htcp_jax.clearance.proof.bisection import PathVerdict
-from htcp_jax.clearance.proof.interval import row_travel_bound
-from htcp_jax.clearance.proof.motion_bound import JointSweep, travel_bound
+from htcp_jax.clearance.proof.motion_bound import JointSweep, pair_travel_bound, travel_bound
 from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.mjcf import arm_xml
 from htcp_jax.io.robots.vendor_import import import_robot
@@ -129,7 +128,7 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
         robot, _ = arm(name, tmp_path)
         own, rng, n = SelfCollision(((2, 0), (2, 1))), np.random.default_rng(3), len(robot.slides)
         rows, tightest = own.rows(robot), 0.0
-        bound = jax.jit(partial(row_travel_bound, robot, rows))
+        bound = jax.jit(partial(pair_travel_bound, robot, rows))
         everywhere = jax.jit(partial(travel_bound, robot))
         ends = jax.jit(lambda x, robot=robot: (link_poses(robot, x), *capsule_segments(robot, x)))
         for _ in range(100):

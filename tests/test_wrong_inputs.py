@@ -378,6 +378,7 @@ COMMANDS = [
     Wrong(["gate", "run", "--baseline", "b.yaml"], "unknown key metods", {"b.yaml": "metods: {}"}),
     Wrong(["gate", "nowhere", "--update", "--baseline", "b.yaml"], "nowhere contains no run"),
     Wrong(["gate", LONG, "--update", "--baseline", "b.yaml"], "File name too long"),
+    Wrong(["prepare", "job.yaml"], "job.yaml"),
     Wrong(["doctor", "--deep"], "No such option: --deep"),
     Wrong(["doctor", "now"], "now"),
     Wrong(["methods", "all"], "all"),

@@ -48,6 +48,12 @@ class Compilations:
                 self._seconds.append(time.monotonic() - began)
 
     @property
+    def done(self) -> int:
+        """Number of programs compiled so far."""
+        with self._lock:
+            return len(self._seconds)
+
+    @property
     def text(self) -> str:
         """Text such as "compiling 3 of 7 programs, about 40 s"; "" if no program is being compiled.
 

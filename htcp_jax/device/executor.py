@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -22,6 +23,7 @@ from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model import Task, kinematics
 from htcp_jax.settings import Settings
+from htcp_jax.types import Int
 
 # XLA hoists loop invariants before it merges common subexpressions, which then no longer match: the arm's links are
 # computed up to seven times. On a CPU hoisting costs more than it saves; on a GPU it saves launches. On a GPU,
@@ -202,7 +204,8 @@ class Executor:
         threads: int = 1,
     ):
         self.device = device or default_device()
-        self._scene, self._settings = jax.device_put(scene.without_labels(), self.device), settings
+        self._robot, own, self._settings = scene.robot, scene.for_programs(), settings
+        self._scene, self._rows_of = jax.device_put(own, self.device), partial(scene.rows_within, own)
         self._for_either = self._scene._replace(task=self._scene.task.for_either)
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
@@ -232,17 +235,22 @@ class Executor:
     @property
     def freedom(self) -> int:
         """Dimension of the task's null space."""
-        return self.task.freedom(self._scene.robot)
+        return self.task.freedom(self._robot)
+
+    @cached_property
+    def rows(self) -> Int[np.ndarray, "R"]:
+        """Indices of the scene's rows of clearance in the tables of lane functions, which have padding between them."""
+        return self._rows_of()
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper joint limits [rad or m]."""
-        return np.asarray(self._scene.robot.lower), np.asarray(self._scene.robot.upper)
+        return np.asarray(self._robot.lower), np.asarray(self._robot.upper)
 
     @property
     def tip_bounds(self) -> kinematics.TipBounds:
         """Bounds on the motion of the arm's bare tip."""
-        return kinematics.tip_bounds(self._scene.robot)
+        return kinematics.tip_bounds(self._robot)
 
     @property
     def sizes(self) -> tuple[int, int]:

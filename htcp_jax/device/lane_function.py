@@ -56,7 +56,8 @@ STEP = DeviceSizes(cpu=ALONE, gpu=BatchSize(4096, 4096))
 # for loops of some steps, in the longest calls
 TRACKED = DeviceSizes(cpu=ALONE, gpu=BatchSize(PORTION, 4096, refills=True))
 DEEP_LOOP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 512, refills=True))  # for loops that are vectorised inside
-SAMPLED = DeviceSizes(cpu=ALONE, gpu=BatchSize(256, 128))  # for functions with hundreds of configurations per lane
+SAMPLED_LOOP = DeviceSizes(cpu=ALONE, gpu=BatchSize(2048, 256, refills=True))  # with hundreds of samples per iteration
+SAMPLED = DeviceSizes(cpu=ALONE, gpu=BatchSize(512, 256))  # for functions with hundreds of configurations per lane
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from htcp_jax.model.rotations import axis_angle_matrix
 from htcp_jax.numerics import checked_shape, product
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Vector3
 
+Links = tuple[int, ...] | Int[Anywhere, "*n"]  # index of each point's link, -1 for the world
+
 
 def link_poses(robot: Robot, x: Joints) -> Float[Array, "J 4 4"]:
     """Return T_world_link, the frame of every link in the world [m]."""
@@ -60,19 +62,18 @@ def tip_segment(robot: Robot, x: Joints) -> Float[Array, "2 3"]:
     Only capsules of the last link that has capsules are considered; fixtures are ignored. The nearest end is selected
     at x = 0, so that it is the same in every configuration.
     """
-    last = _last_capsules(robot)
-    zero, here = (jnp.concatenate([e[last] for e in capsule_segments(robot, at)]) for at in (jnp.zeros_like(x), x))
+    zero, here = (jnp.concatenate(capsule_segments(robot, at)) for at in (jnp.zeros_like(x), x))
     away = zero - tcp_position(robot, jnp.zeros_like(x))[None]
-    return jnp.stack([here[jnp.argmin(jnp.sum(away * away, axis=1))], tcp_position(robot, x)])
+    square = jnp.where(jnp.tile(_on_last_link(robot), 2), jnp.sum(away * away, axis=1), jnp.inf)
+    return jnp.stack([here[jnp.argmin(square)], tcp_position(robot, x)])
 
 
-def _last_capsules(robot: Robot) -> np.ndarray:
-    """Return the indices of the capsules of the chain's last link that has capsules.
-
-    Fixtures, which come last, are left out.
-    """
-    links = np.delete(robot.capsule_link, robot.attached)
-    return np.flatnonzero(links == max(links[links <= robot.tcp_link]))
+def _on_last_link(robot: Robot) -> Bool[Anywhere, "K"]:
+    """Return True for the capsules of the chain's last link that has capsules, except fixtures."""
+    links = robot.body_links
+    where = np.where if isinstance(links, np.ndarray) else jnp.where
+    links = where((links > robot.tcp_link) | np.isin(np.arange(len(links)), robot.attached), -2, links)
+    return links == links.max()
 
 
 class TipBounds(NamedTuple):
@@ -122,7 +123,7 @@ def tip_bounds(robot: Robot) -> TipBounds:
     A speed's bound is the sum of the lengths of the links after the joint, of the tip's distance from its link's
     origin, and of the slides' travel. For slides without limits, see `TipBounds.between`.
     """
-    chain, last = slice(robot.tcp_link + 1), _last_capsules(robot)
+    chain, last = slice(robot.tcp_link + 1), np.flatnonzero(_on_last_link(robot))
     slides = np.array(robot.slides)[chain]
     links = np.linalg.norm(np.asarray(robot.T_parent_joint)[chain][1:, :3, 3], axis=1)
     travel = np.where(slides, joint_travel(robot)[chain], 0.0)
@@ -130,7 +131,7 @@ def tip_bounds(robot: Robot) -> TipBounds:
     ends = np.concatenate([np.asarray(end)[last] for end in (robot.capsule_p, robot.capsule_q)])
     tip = np.linalg.norm(np.vstack([ends, np.asarray(robot.T_link_tcp)[:3, 3]]), axis=1).max()
     speeds = np.where(slides, 1.0, np.append(np.cumsum(links[::-1])[::-1], 0.0) + tip)
-    bounds = TipBounds(speeds, robot.capsule_link[last[0]] == robot.tcp_link)
+    bounds = TipBounds(speeds, bool(robot.capsule_link[last[0]] == robot.tcp_link))
     if np.isinf(travel[1:]).any():
         after = np.triu(np.ones((len(slides), len(slides))), 1)
         bounds = bounds._replace(open_slides=np.where(slides[:, None] | ~np.isinf(travel), 0.0, after))
@@ -182,9 +183,7 @@ def jacobian(robot: Robot, x: Joints) -> Float[Array, "3 N"]:
     return _velocities(robot, links, tcp[None])[0].T
 
 
-def point_jacobians(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"]
-) -> Float[Array, "P 3 N"]:
+def point_jacobians(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3 N"]:
     """Return the translational Jacobians of points that are fixed to links [m/rad or m/m].
 
     Joints that do not move a point's link do not move the point: their columns are zero.
@@ -198,16 +197,14 @@ def point_jacobians(
     return by_coordinates(robot, by_joint(robot, x, points, links))
 
 
-def by_joint(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...] | Int[np.ndarray, "P"] | None
-) -> Float[Array, "P 3 J"]:
+def by_joint(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links | None) -> Float[Array, "P 3 J"]:
     """Return the Jacobians of points by the joints q, see `point_jacobians`; links None: every joint moves them."""
     if links is None:
         return _velocities(robot, _link_frames(robot, x), points).swapaxes(1, 2)
     if robot.coupling is None:
         moves = jnp.arange(len(robot.slides))[None, :] <= jnp.asarray(links)[:, None]
     else:
-        moves = moved_by(robot.parents)[np.array(links)]
+        moves = jnp.asarray(moved_by(robot.parents))[jnp.asarray(links)]
     velocities = _velocities(robot, _link_frames(robot, x), points)
     return jnp.where(moves[:, :, None], velocities, 0.0).swapaxes(1, 2)
 
@@ -235,9 +232,7 @@ def joint_positions(robot: Robot, x: Joints) -> Float[Array, "J"]:
     return x if robot.coupling is None else product(robot.coupling.factors, x) + robot.coupling.offsets
 
 
-def point_positions(
-    robot: Robot, x: Joints, points: Float[Array, "P 3"], links: tuple[int, ...]
-) -> Float[Array, "P 3"]:
+def point_positions(robot: Robot, x: Joints, points: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3"]:
     """Return the positions in the world [m] of points that are fixed to links.
 
     Args:
@@ -249,7 +244,7 @@ def point_positions(
     return _to_world(_frames_of(robot, x, links), points)
 
 
-def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tuple[int, ...]) -> Float[Array, "P 3"]:
+def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: Links) -> Float[Array, "P 3"]:
     """Rotate directions that are fixed to links into the world; lengths are preserved.
 
     Args:
@@ -262,7 +257,7 @@ def directions(robot: Robot, x: Joints, vectors: Float[Array, "P 3"], links: tup
 
 
 def direction_jacobians(
-    robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: tuple[int, ...]
+    robot: Robot, x: Joints, directions: Float[Array, "P 3"], links: Links
 ) -> Float[Array, "P 3 N"]:
     """Return the Jacobians of `directions`: axis x direction for a hinge [1/rad], 0 for a slide [1/m].
 
@@ -274,7 +269,7 @@ def direction_jacobians(
     """
     frames = _link_frames(robot, x)
     axes = product(frames.rotation, robot.axis[:, :, None])[..., 0]
-    moves = moved_by(robot.parents)[np.array(links)] & ~np.array(robot.slides)[None, :]
+    moves = moved_by(robot.parents)[np.array(links)] & ~jnp.asarray(robot.slides)[None, :]
     turning = jnp.cross(axes[None], directions[:, None])
     return by_coordinates(robot, jnp.where(moves[:, :, None], turning, 0.0).swapaxes(1, 2))
 
@@ -298,13 +293,15 @@ def with_free_joints(robot: Robot) -> Robot:
     if robot.coupling is None:
         return robot
     joints = len(robot.slides)
-    own = dataclasses.replace(robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=robot.slides)
+    own = dataclasses.replace(
+        robot.coupling, factors=jnp.eye(joints), offsets=jnp.zeros(joints), slides=tuple(robot.slides)
+    )
     return dataclasses.replace(robot, joint_names=own.joint_names, coupling=own)
 
 
 def is_periodic(robot: Robot) -> Bool[Anywhere, "N"]:
     """Return True for coordinates after one revolution of which every link is back in its place."""
-    hinge = ~np.array(robot.slides)
+    hinge = ~jnp.asarray(robot.slides)
     if robot.coupling is None:
         return hinge
     factors = robot.coupling.factors
@@ -361,7 +358,7 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     """Return the frames of the J links, by multiplying the joints' motions along the chain."""
     x = joint_positions(robot, checked_configuration(robot, x))
     fixed = _Frames(robot.T_parent_joint[:, :3, :3], robot.T_parent_joint[:, :3, 3])
-    slides = np.array(robot.slides)
+    slides = jnp.asarray(robot.slides)
     turn, slide = jnp.where(slides, 0.0, x), jnp.where(slides, x, 0.0)
     rotation = product(fixed.rotation, axis_angle_matrix(robot.axis, turn))
     steps = _Frames(rotation, _to_world(fixed, slide[:, None] * robot.axis))
@@ -381,14 +378,14 @@ def _link_frames(robot: Robot, x: Joints) -> _Frames:
     return found
 
 
-def _frames_of(robot: Robot, x: Joints, links: tuple[int, ...]) -> _Frames:
+def _frames_of(robot: Robot, x: Joints, links: Links) -> _Frames:
     """Return the frames of the given links, -1 for the world."""
     moving = _link_frames(robot, x)
     world = jnp.eye(3, 4, dtype=moving.origin.dtype)[None]
     with_world = _Frames(  # the world last, so that it is link -1
         jnp.concatenate([moving.rotation, world[:, :, :3]]), jnp.concatenate([moving.origin, world[:, :, 3]])
     )
-    return _frame_at(with_world, np.array(links))
+    return _frame_at(with_world, jnp.asarray(links))
 
 
 @jax.jit
@@ -396,14 +393,14 @@ def _velocities(robot: Robot, links: _Frames, points: Float[Array, "P 3"]) -> Fl
     """Return each point's velocity per unit velocity of each joint q, as if all points were fixed to the last link."""
     axes = product(links.rotation, robot.axis[:, :, None])[..., 0]
     turning = jnp.cross(axes[None], points[:, None] - links.origin[None])
-    return jnp.where(np.array(robot.slides)[None, :, None], axes[None], turning)
+    return jnp.where(jnp.asarray(robot.slides)[None, :, None], axes[None], turning)
 
 
 def _to_world(frames: _Frames, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     return product(frames.rotation, points[..., None])[..., 0] + frames.origin
 
 
-def _frame_at(frames: _Frames, index: int | np.ndarray) -> _Frames:
+def _frame_at(frames: _Frames, index: int | np.ndarray | Array) -> _Frames:
     return _Frames(frames.rotation[index], frames.origin[index])
 
 

@@ -12,6 +12,7 @@ this package "world" means the root's frame; `Robot.world` is the workshop's fra
 import dataclasses
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,10 +20,11 @@ from htcp_jax.errors import InputError
 from htcp_jax.model.convex_piece import BodyPieces
 from htcp_jax.model.coupling import Coupling
 from htcp_jax.notebook import html_facts
-from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Float, Joints, Pose, Scalar, Triple
+from htcp_jax.pytree import LABEL, STRUCTURE, register_pytree
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Scalar, Triple
 
 FAR_M = 1e6  # distance between bodies that are not tested against each other
+BODIES = 8  # programs are compiled for a multiple of this number of bodies
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
@@ -98,9 +100,13 @@ class Robot:
     on_tool: Float[Array, "K 2"]  # 1 where the end p, q moves with the tool's tip, see lengthen_tool
     name: str = dataclasses.field(metadata=LABEL)
     joint_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # of the coordinates
-    slides: tuple[bool, ...] = dataclasses.field(metadata=_STATIC)  # of the J joints
+    slides: tuple[bool, ...] | Bool[Anywhere, "J"] = dataclasses.field(
+        metadata=STRUCTURE
+    )  # of the J joints; in programs an array
     capsule_names: tuple[str, ...] = dataclasses.field(metadata=LABEL)
-    capsule_link: tuple[int, ...] = dataclasses.field(metadata=_STATIC)  # -1 is the world
+    capsule_link: tuple[int, ...] | Int[Anywhere, "K"] = dataclasses.field(
+        metadata=STRUCTURE
+    )  # -1 is the world; in programs an array
     ignored_geoms: tuple[str, ...] = dataclasses.field(metadata=LABEL)  # for contact, no capsule or sphere
     exclusions: tuple[Exclusion, ...] = dataclasses.field(default=(), metadata=LABEL)  # pairs that the model excludes
     # True: `exclusions` is complete, except for pairs with a capsule of `mounted`
@@ -129,7 +135,17 @@ class Robot:
     @property
     def sliding(self) -> tuple[bool, ...]:
         """True for coordinates that are sliding joints."""
-        return self.slides if self.coupling is None else self.coupling.slides
+        return tuple(self.slides) if self.coupling is None else self.coupling.slides
+
+    @property
+    def body_links(self) -> Int[Anywhere, "K"]:
+        """The link of each body, -1 for the world; on the host, except in programs."""
+        return np.array(self.capsule_link, int) if isinstance(self.capsule_link, tuple) else self.capsule_link
+
+    @property
+    def hinges(self) -> Bool[Anywhere, "J"]:
+        """True for joints that are hinges; on the host, except in programs."""
+        return ~(np.array(self.slides) if isinstance(self.slides, tuple) else self.slides)
 
     @property
     def parents(self) -> tuple[int, ...]:
@@ -199,6 +215,39 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
+def for_programs(robot: Robot) -> Robot:
+    """Return a robot whose structure is data in compiled functions, with padding up to one of few numbers of bodies.
+
+    Padding is the first body again, with the radius -FAR_M, so that it is far from everything.
+
+    Args:
+        robot: A robot without labels in which no joint follows another.
+    """
+    bodies = len(robot.capsule_link)
+    count = -(-bodies // BODIES) * BODIES
+    is_body = np.arange(count) < bodies
+    taken = np.where(is_body, np.arange(count), 0)
+    p, q, radius, on_tool = (
+        np.asarray(each)[taken] for each in (robot.capsule_p, robot.capsule_q, robot.capsule_radius, robot.on_tool)
+    )
+    pieces = robot.pieces
+    if pieces is not None:
+        pieces = jax.tree.map(lambda leaf: np.asarray(leaf)[taken], pieces)
+        pieces = pieces._replace(excess_m=np.where(is_body, pieces.excess_m, 0.0))
+    data = {
+        "capsule_p": p,
+        "capsule_q": q,
+        "capsule_radius": np.where(is_body, radius, -FAR_M),
+        "on_tool": np.where(is_body[:, None], on_tool, 0.0),
+        "slides": np.array(robot.slides),
+        "capsule_link": robot.body_links[taken],
+        "pieces": pieces,
+    }
+    unread = {"capsule_names": ("",) * count, "ignored_geoms": (), "omitted": (), "listed": False}
+    found: Robot = dataclasses.replace(robot, **{**jax.device_put(data), **unread})
+    return found
+
+
 def core_radius(robot: Robot) -> Float[Array, "K"]:
     """Return the largest radii (K,) at which the capsules certainly lie within the bodies [m]; may be negative.
 
@@ -212,7 +261,7 @@ def radius_to_workpiece(robot: Robot) -> Float[Array, "K"]:
     """Return the capsules' radii (K,) for clearances to the workpiece [m]; -FAR_M for capsules that are not tested."""
     if not robot.part_moves:
         return robot.capsule_radius
-    return jnp.where(np.array(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
+    return jnp.where(jnp.asarray(robot.capsule_link) < 0, -FAR_M, robot.capsule_radius)
 
 
 def capsule_label(robot: Robot, name: str) -> str:
@@ -229,7 +278,7 @@ def capsule_label(robot: Robot, name: str) -> str:
     own = tuple(frame.name for frame in robot.frames if frame.link == link and not any(frame.origin_m))
     if not own or name.startswith(own):
         return name
-    return f"{own[0]} ({name})" if has_piece or robot.capsule_link.count(link) > 1 else own[0]
+    return f"{own[0]} ({name})" if has_piece or robot.body_links.tolist().count(link) > 1 else own[0]
 
 
 def mesh_note(

@@ -31,7 +31,9 @@ class _Lane(NamedTuple):
 
 def at(robot: Robot, x: Float[np.ndarray, "n N"]) -> ArmPoses:
     """Return the arm at n >= 1 configurations [rad or m]."""
-    return Executor(Scene(robot, ()), Settings())(ARM_POSES, _Lane(np.zeros(len(x))), x)
+    found = Executor(Scene(robot, ()), Settings())(ARM_POSES, _Lane(np.zeros(len(x))), x)
+    p, q, T = (table[:, : len(robot.capsule_link)] for table in (found.arm.p, found.arm.q, found.T_root_link))
+    return found._replace(arm=found.arm._replace(p=p, q=q), T_root_link=T)
 
 
 def _pose(settings, scene: Scene, lane: _Lane, x) -> ArmPoses:

@@ -218,21 +218,27 @@ class _Measured:
         self._problem, self._s, self.x, self.distance, self.points = problem, s, x, distance, points
         self._longer = longer  # the arm with a tool extension [m]
         self._scene = Scene(problem.robot, problem.obstacles, problem.task)
-        self._links = np.array(problem.robot.capsule_link)[np.array(self._scene.rows.body)]
+        self._rows = self._scene.rows
+        self._links = self._rows.links(problem.robot)
         self.stands: Bool[np.ndarray, "R"] = self._links < 0
 
     @classmethod
     def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
         """Return the distances at configurations of one scenario."""
-        found = problem.checkers[0].executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x)
-        return cls(problem, s, x, *found, partial(robots.lengthen_tool, problem.robot))
+        executor = problem.checkers[0].executor
+        found = executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x)
+        return cls(
+            problem, s, x, *(table[:, executor.rows] for table in found), partial(robots.lengthen_tool, problem.robot)
+        )
 
     @classmethod
     def each(cls, problem: Problem, scenarios: Sequence[int], x: Float[np.ndarray, "n N"]) -> "list[_Measured]":
         """Return the distances at one configuration of each scenario, measured in one call."""
         if not len(x):
             return []
-        found = problem.checkers[0].executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
+        executor = problem.checkers[0].executor
+        found = executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
+        found = [table[:, executor.rows] for table in found]
         longer = cache(partial(robots.lengthen_tool, problem.robot))
         return [cls(problem, s, *(table[k : k + 1] for table in (x, *found)), longer) for k, s in enumerate(scenarios)]
 
@@ -245,7 +251,7 @@ class _Measured:
         here = jax.tree.map(lambda leaf: leaf[self._s], self._problem.scenarios)
         own = self._longer(float(here.tool_extension_m))
         other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
-        return own.capsule_names[self._scene.rows.body[row]], other
+        return own.capsule_names[self._rows.body[row]], other
 
     def cause(self, row: int, k: int, always: bool) -> StartCause:
         """Return a `StartCause` for the overlap of a row at configuration k."""

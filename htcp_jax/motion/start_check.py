@@ -57,7 +57,7 @@ def start_contact(
     x = scenario.x_start if x is None else jnp.asarray(x)
     scene = Scene(robots.lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
     touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
-    distance, fixed = np.asarray(touch.distance), np.array(robot.capsule_link)[np.array(scene.rows.body)] < 0
+    distance, fixed = np.asarray(touch.distance), scene.rows.links(robot) < 0
     if fixed_first and (fixed & (distance <= 0)).any():
         distance = np.where(fixed, distance, np.inf)
     row = int(distance.argmin())

@@ -87,8 +87,8 @@ def pieces_of(robot: Robot, task: Task, scenarios: Scenario, settings: Settings)
     reach_m = kinematics.max_reach(robot)
     longest = np.sqrt(8 * SHARE * tube_m * reach_m)
     widest = np.sqrt(8 * SHARE * tube_m / (WRIST * reach_m)) if np.isfinite(reach_m) else np.inf
-    places, goals = _ends(scenarios.targets, s, t), _ends(scenarios.goals, s, t)
-    length = np.linalg.norm(places[:, 1] - places[:, 0], axis=1) / longest
+    goals = _ends(scenarios.goals, s, t)
+    length = np.linalg.norm(np.diff(scenarios.targets, axis=1), axis=2)[s, t - 1] / longest
     most = np.maximum(length, task.turn(goals) / TURN_RAD)
     turn = task.turn(goals, least=True) if task.holds_tcp else 0.0
     found[s, t] = np.clip(np.ceil(np.maximum(np.where(most > 1, FINER * most, 1), turn / widest)), 1, MOST_PARTS)

@@ -5,6 +5,7 @@
 
 import jax
 
+from htcp_jax.device import lane_function
 from htcp_jax.planning.beam.beam import BeamSearchMethod
 from htcp_jax.planning.method import Method
 from htcp_jax.planning.registry import DESCRIPTIONS, METHODS
@@ -64,6 +65,7 @@ BUILT_IN = (
                     problem, seen, key, s.population, s.generations, start_key=_start_key(s, key, cmaes=True)
                 ),
                 ("population", "generations", *_FIRST),
+                lane_function.SAMPLED_LOOP,
             ),
         ),
     ),

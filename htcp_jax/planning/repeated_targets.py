@@ -33,12 +33,14 @@ def are_distinct(scenarios: Scenario, task: Task) -> Bool[np.ndarray, "S T"]:
     t = np.arange(scenarios.targets.shape[1])
     on_path = (t > np.reshape(scenarios.on_path, (-1, 1))) & (t < np.reshape(scenarios.count, (-1, 1)))
     found = np.ones(on_path.shape, bool)
-    s, t = np.nonzero(on_path)
-    if not _at_one_place(scenarios, task, s, t - 1, t).any():
+    close = np.linalg.norm(np.diff(scenarios.targets, axis=1), axis=2) <= ONE_POINT_M
+    s, t = np.nonzero(on_path[:, 1:] & close)
+    found[s, t + 1] = ~_at_one_place(scenarios, task, s, t, t + 1)
+    if found.all():
         return found
     place = np.array(scenarios.on_path)  # the first target of the last place
     for t in range(1, on_path.shape[1]):
-        s = np.flatnonzero(on_path[:, t])
+        s = np.flatnonzero(on_path[:, t] & (place != t - 1))
         found[s, t] = ~_at_one_place(scenarios, task, s, place[s], np.full(len(s), t))
         place = np.where(on_path[:, t] & found[:, t], t, place)
     return found

@@ -235,5 +235,5 @@ def _angular_velocity(robot: Robot, x):
     """Return the last link's angular velocity per unit velocity of each joint, (3, N)."""
     poses = kinematics.link_poses(robot, x)
     axes = product(poses[:, :3, :3], robot.axis[:, :, None])[..., 0]
-    turns = moved_by(robot.parents)[robot.tcp_link] & ~np.array(robot.slides)
-    return kinematics.by_coordinates(robot, jnp.where(jnp.array(~turns)[:, None], 0.0, axes).T)
+    turns = moved_by(robot.parents)[robot.tcp_link] & ~jnp.asarray(robot.slides)
+    return kinematics.by_coordinates(robot, jnp.where(turns[:, None], axes, 0.0).T)

@@ -129,13 +129,14 @@ def obstructions(
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
     scene = Scene(robot, obstacles, task)
     lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
-    measured = Executor(scene, settings)(BRING, *lanes) if len(x_last) else ()
+    executor = Executor(scene, settings)
+    measured = executor(BRING, *lanes) if len(x_last) else ()
     found = []
     for k, (row, point, surfaces, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
         here = jax.device_put(jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), where))
-        own = _WITH_TOOL(robot, here.tool_extension_m)
-        other = nearest_to(own, obstacles, here, jnp.asarray(x), int(row))
-        number, reached = scene.rows.body[int(row)], bool(task.reached(np.asarray(off)))
+        own, row = _WITH_TOOL(robot, here.tool_extension_m), int(np.flatnonzero(executor.rows == row)[0])
+        other = nearest_to(own, obstacles, here, jnp.asarray(x), row)
+        number, reached = scene.rows.body[row], bool(task.reached(np.asarray(off)))
         body = robot.capsule_names[number]
         note = robots.mesh_note(own, body, other, x, surfaces, bool(by_piece))
         label = robots.capsule_label(robot, body)

@@ -21,6 +21,7 @@ import numpy as np
 from htcp_jax.settings import Settings
 from htcp_jax.types import Array, Float, Int, Joints, Scalar
 
+UNTESTED_M = 1e5  # larger clearances are those of bodies that are not tested, see `model.robot.FAR_M`
 UNLIMITED = 1e6  # finite joint limits of this magnitude count as none [rad or m]
 SPREAD = 1e-6  # smallest weight that counts, relative to the largest, in the scale of the cost
 
@@ -114,7 +115,7 @@ def assemble(
     if settings.clearance_rows == "smallest":
         body = jnp.argmin(clearance)
         clearance, gradient = clearance[body][None], gradient[body][None]
-    G, h = -gradient, clearance - margin_m
+    G, h = -gradient, jnp.where(clearance < UNTESTED_M, clearance, jnp.inf) - margin_m
     if slack is not None and len(slack):
         G, h = jnp.concatenate([G, -slack_gradient]), jnp.concatenate([h, slack])
     return StepQP(

@@ -41,11 +41,16 @@ from htcp_jax.numerics import one_by_one
 from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 TOP = 31  # maximum number of clusters at the top: a search stores them as bits of one number
+SIZES = 16, TOP  # numbers of clusters at the top of trees on a CPU, so that most clouds share executables
+AWAY_M = 1e7  # position of clusters without points, which no search opens
 
 
 def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
     """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of them."""
-    return jax.device_put(_host_index(points))  # in the final types: JAX compiles every conversion
+    index = _host_index(points)
+    if backend().is_cpu:
+        index = _padded(index, next(size for size in SIZES if size >= index.levels[0].shape[2]))
+    return jax.device_put(index)  # in the final types: JAX compiles every conversion
 
 
 @cached_by_values(2)
@@ -65,6 +70,19 @@ def _host_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
         points=points[leaves].transpose(0, 2, 1),
         rows=leaves.astype(np.int32),
     )
+
+
+def _padded(index: CloudIndex, top: int) -> CloudIndex:
+    """Return the index with a number of clusters at the top, of which the new ones are AWAY_M from the origin."""
+    first, *others = index.levels
+
+    def longer(table: np.ndarray, axis: int, value: float = 0.0) -> np.ndarray:
+        missing = table.shape[axis] * top // first.shape[2] - table.shape[axis]
+        return np.pad(table, [(0, missing if k == axis else 0) for k in range(table.ndim)], constant_values=value)
+
+    levels = longer(first, 2), *(longer(level, 0) for level in others)
+    levels[0][:, 0, first.shape[2] :] = AWAY_M
+    return CloudIndex(levels, longer(index.points, 0, AWAY_M), longer(index.rows, 0))
 
 
 def _nested_clusters(points, rows, parts: int, levels: int):

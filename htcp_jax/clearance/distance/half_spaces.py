@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend, instance, kernel
 from htcp_jax.caching import cached_by_values
-from htcp_jax.numerics import one_by_one
+from htcp_jax.numerics import one_by_one, padded_count, with_repeated
 from htcp_jax.types import Array, Bool, Float, Int
 
 ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m of the origin
@@ -52,10 +52,10 @@ def half_spaces(
         vertices: Points of the set near its corners [m]; the core is the hull of some of them.
     """
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
-    facets = np.column_stack([normal, offset])
-    filled = np.concatenate([facets, np.repeat(facets[-1:], -len(facets) % FAN, axis=0)])
-    table = filled.T.reshape(4, -1, FAN)
-    return jax.device_put(HalfSpaces(np.asarray(normal), np.asarray(offset), (core * CORE).T.astype(np.float32), table))
+    every = core, np.column_stack([normal, offset])
+    core, facets = (with_repeated(each, padded_count(len(each))) for each in every)
+    table = with_repeated(facets, -(-len(facets) // FAN) * FAN).T.reshape(4, -1, FAN)
+    return jax.device_put(HalfSpaces(facets[:, :3], facets[:, 3], (core * CORE).T.astype(np.float32), table))
 
 
 @cached_by_values(4)

@@ -5,12 +5,13 @@ the mesh. The nearest point is found once and then fixed. The gradient is theref
 exact wherever D is differentiable, and one of the one-sided gradients elsewhere.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.distance.cloud_pieces import lowest_points
 from htcp_jax.clearance.distance.cloud_sweep import clear_along
 from htcp_jax.clearance.distance.cloud_tree import body_within, build_index, nearest_body, nearest_rows
@@ -20,8 +21,8 @@ from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, in_workpiece
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import axis_contact, capsule_point_distance, product
-from htcp_jax.pytree import register_pytree
+from htcp_jax.numerics import axis_contact, capsule_point_distance, product, with_repeated
+from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Bool, Float, Scalar
 
 
@@ -33,16 +34,17 @@ class Cloud(Obstacle):
     For every distance, bodies are thickened by the covering radius `cover` [m].
     """
 
-    points: Float[jax.Array, "P 3"]
+    points: Float[jax.Array, "P 3"]  # on a CPU, with padding by the last one
     index: CloudIndex
     cover: Float[jax.Array, ""]
+    count: int = field(metadata=LABEL)  # of points, without padding
 
     of_workpiece = True
     sweeps = True
     is_exact = True
 
     def __repr__(self) -> str:
-        return f"Cloud({getattr(self.points, 'shape', '?')[0]} points)"
+        return f"Cloud({self.count} points)"
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest point."""
@@ -59,7 +61,9 @@ class Cloud(Obstacle):
         self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, needed: Bool[jax.Array, "K"] | None
     ) -> Contacts:
         """Return the contact of every needed body with its nearest point; any contact for the others."""
-        rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece, needed)
+        is_tested = robots.radius_to_workpiece(robot) > -robots.FAR_M / 2
+        searched = is_tested if needed is None else needed & is_tested
+        rows = nearest_rows(self.index, bodies.p_workpiece, bodies.q_workpiece, searched)
         nearest = self.points[rows]
         found = self._contacts(robot, where, bodies, nearest)
         return found if robot.pieces is None else self._by_pieces(robot, where, bodies, found, nearest, needed)
@@ -166,5 +170,7 @@ class Cloud(Obstacle):
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
     """Return the obstacle of a cloud of points [m]. Their order does not change any distance."""
-    points = np.asarray(points)
-    return Cloud(jax.device_put(points), build_index(points), jax.device_put(np.asarray(covering_radius_m, float)))
+    points, index, count = np.asarray(points), build_index(points), len(points)
+    if backend().is_cpu:  # as many as there are places in the tree's leaves
+        points = with_repeated(points, index.rows.size)
+    return Cloud(*jax.device_put((points, index, np.asarray(covering_radius_m, float))), count)

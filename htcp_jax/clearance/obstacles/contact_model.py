@@ -6,7 +6,6 @@ to all known contact points is a model of D; it equals D once the nearest points
 place of the point would be cheaper, but would reject some clear configurations.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 from htcp_jax.clearance.obstacles.obstacle import Contacts, RowPairs, slopes
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import axis_contact, capsule_point_distance
-from htcp_jax.types import Array, Bool, Float, Joints
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints
 
 
 class ContactModel(NamedTuple):
@@ -38,9 +37,9 @@ def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> C
         rows: The pair of each of the R clearance rows: a body, and an obstacle or second body.
         touch: The contacts at x.
     """
-    T = _link_poses(robot, x, _links(robot, rows))
+    T = _link_poses(robot, x, rows.links(robot))
     witness = touch.witness
-    if _has_moving_bodies(rows):
+    if rows.other is not None:
         witness = _brought_back(_link_poses(robot, x, rows.other), witness)
     radius = touch.radius
     if robot.pieces is not None:  # a piece's contact is modelled by a thinner capsule
@@ -56,7 +55,7 @@ def hold_contacts(robot: Robot, x: Joints, rows: RowPairs, touch: Contacts) -> C
     )
 
 
-@partial(jax.jit, static_argnames="rows")
+@jax.jit
 def predict_distances(
     robot: Robot, x: Joints, rows: RowPairs, held: ContactModel
 ) -> tuple[Float[Array, "H"], Float[Array, "H N"]]:
@@ -69,14 +68,12 @@ def predict_distances(
         held: The model, with contacts from one or several configurations.
     """
     rounds = held.offset.shape[0] // len(rows.body)
-    T = _link_poses(robot, x, _links(robot, rows))
-    body = slice(None) if rows.body == tuple(range(len(robot.capsule_link))) else jnp.asarray(rows.body)
+    T = _link_poses(robot, x, rows.links(robot))
+    body = slice(None) if rows.other is None else jnp.asarray(rows.body)  # rows of bodies only are one for each body
     p, q = _transformed(T, robot.capsule_p[body]), _transformed(T, robot.capsule_q[body])
     p, q, T = (jnp.concatenate([each] * rounds) for each in (p, q, T))
-    many = RowPairs(rows.body * rounds, rows.other * rounds)
-    witness = (
-        _transformed(_link_poses(robot, x, many.other), held.witness) if _has_moving_bodies(rows) else held.witness
-    )
+    many = RowPairs.concatenate([rows] * rounds)
+    witness = held.witness if many.other is None else _transformed(_link_poses(robot, x, many.other), held.witness)
     axis_point, away = axis_contact(p, q, witness)
     point = jnp.where(held.plane[:, None], _transformed(T, held.end), axis_point)
     normal = jnp.where(held.plane[:, None], held.normal, away)
@@ -85,15 +82,7 @@ def predict_distances(
     return value, slopes(robot, x, many, normal, point, witness)
 
 
-def _links(robot: Robot, rows: RowPairs) -> tuple[int, ...]:
-    return tuple(robot.capsule_link[body] for body in rows.body)
-
-
-def _has_moving_bodies(rows: RowPairs) -> bool:
-    return any(link >= 0 for link in rows.other)
-
-
-def _link_poses(robot: Robot, x: Joints, links: tuple[int, ...]) -> Float[Array, "n 4 4"]:
+def _link_poses(robot: Robot, x: Joints, links: Int[Anywhere, "n"]) -> Float[Array, "n 4 4"]:
     T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])  # the world last, so that it is link -1
     return T[jnp.asarray(links)]
 

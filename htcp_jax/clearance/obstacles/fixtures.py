@@ -11,7 +11,6 @@ nearer than the smallest distance so far; the pieces with the nearest balls come
 import dataclasses
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from itertools import count as counting
 from itertools import product
 from types import MappingProxyType
 from typing import NamedTuple
@@ -20,13 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.backend import backend
 from htcp_jax.clearance.distance.solids import Box, Cylinder, HalfSpace, Polyhedron, Rod, Solid, SolidContact
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle
 from htcp_jax.model import ConvexPiece, Robot, kinematics, make_piece, stack_pieces
-from htcp_jax.numerics import one_by_one
+from htcp_jax.numerics import one_by_one, padded_count, table_size, with_repeated
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Bool, Float, Scalar
+from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 SIDES = 48  # sides of the prism about a cylinder, which is 0.2 % wider than the cylinder
 CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -46,6 +46,7 @@ class Fixtures(Obstacle):
     pieces: Polyhedron | None
     balls: Float[jax.Array, "P 4"]  # bounding balls of the pieces: centre, radius [m]
     is_checked: Bool[jax.Array, "G K"]  # True: solid g is checked against body k; simple solids first, then pieces
+    counts: Int[jax.Array, "kinds"]  # numbers of simple solids by kind, without padding
     names: tuple[str, ...] = field(metadata=LABEL)  # names of the solids in the rows of `is_checked`; "" for padding
     solids: ConvexPiece | None = None  # all solids except half-spaces, in the order of `names`; for an arm with pieces
 
@@ -65,7 +66,7 @@ class Fixtures(Obstacle):
         capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius)
         limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
-        parts = [_each_seen(kind, bodies.p, bodies.q).distance - robot.capsule_radius[None] for kind in self.simple]
+        parts = [each.distance - robot.capsule_radius[None] for each in self._each_simple(bodies.p, bodies.q)]
         if self.pieces is not None:
             parts.append(narrow_phase.ball_bounds(bodies.p, bodies.q, robot.capsule_radius, self.balls))
         lower = jnp.where(self.is_checked & doubt[None], jnp.concatenate(parts), jnp.inf)
@@ -79,6 +80,12 @@ class Fixtures(Obstacle):
         if robot.pieces is not None:
             return super().any_below(robot, where, bodies, limit_m)
         return jnp.min(self._nearest(bodies.p, bodies.q, robot.capsule_radius, limit_m).distance)
+
+    def for_programs(self, robot: Robot, bodies: int) -> "Fixtures":
+        """Return the obstacle with padding up to a number of bodies, which is not checked."""
+        more = bodies - self.is_checked.shape[1]
+        padded = np.pad(np.asarray(self.is_checked), ((0, 0), (0, more)))
+        return dataclasses.replace(self, is_checked=jax.device_put(padded))
 
     def distances(self, robot: Robot, p: Ends, q: Ends) -> Float[jax.Array, "G K"]:
         """Return the distance of every solid to every body's capsule [m], including pairs that are not checked."""
@@ -101,11 +108,17 @@ class Fixtures(Obstacle):
 
     def _simple(self, p: Ends, q: Ends) -> SolidContact:
         """Return the contact of each capsule with the nearest of the solids that are always measured."""
-        parts = [_each_seen(kind, p, q) for kind in self.simple]
-        seen = jax.tree.map(lambda *each: jnp.concatenate(each), *parts)
+        seen = jax.tree.map(lambda *each: jnp.concatenate(each), *self._each_simple(p, q))
         distance = jnp.where(self.is_checked[: len(seen.distance)], seen.distance, jnp.inf)
         best, body = jnp.argmin(distance, axis=0), jnp.arange(len(p))
         return jax.tree.map(lambda each: each[best, body], seen._replace(distance=distance))
+
+    def _each_simple(self, p: Ends, q: Ends) -> list[SolidContact]:
+        """Return the contact of every simple solid with every segment (n, K) for each kind; padding is far away."""
+        if not backend().is_cpu:
+            return [_each_seen(kind, p, q) for kind in self.simple]
+        still = jax.lax.stop_gradient((p, q))
+        return [_seen_in_turn(kind, self.counts[k], *still) for k, kind in enumerate(self.simple)]
 
 
 def fixtures(
@@ -129,8 +142,9 @@ def fixtures(
     for body in np.flatnonzero(_may_stand(robot)).tolist():
         is_checked[:, body] &= ~_stands(robot, body, rows)
     names = tuple(row.name for row in rows)
-    mask = jax.device_put(is_checked)
-    return Fixtures(tuple(simple), pieces, jax.device_put(balls), mask, names, _as_pieces(robot, rows))
+    counts = np.array([sum(row.is_checked for row in own) for own in stacks[:-1] if own], np.int32)
+    balls, mask, counts = jax.device_put((balls, is_checked, counts))
+    return Fixtures(tuple(simple), pieces, balls, mask, counts, names, _as_pieces(robot, rows))
 
 
 class _Row(NamedTuple):
@@ -144,12 +158,7 @@ class _Row(NamedTuple):
 def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
     """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code."""
     rows = [_Row(*each) for each in named]
-    return rows + [_Row("", rows[-1].solid, False)] * (_padded_count(len(rows)) - len(rows)) if rows else []
-
-
-def _padded_count(count: int) -> int:
-    """Return the smallest of 1, 2, 4, 6, 8, 12, 16, 24, 32, ... that is not less than `count`."""
-    return next(n for k in counting() for n in (2**k, 3 * 2**k // 2) if n >= count and n != 3)
+    return rows + [_Row("", rows[-1].solid, False)] * (table_size(len(rows)) - len(rows)) if rows else []
 
 
 def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
@@ -216,14 +225,10 @@ def _stacked(solids: list[Solid]) -> Solid:
 def _host_stacked(solids: list[Solid]) -> Solid:
     """Stack several solids of a kind as numpy arrays; faces and edges of pieces are padded with the last one."""
     if isinstance(solids[0], Polyhedron):
-        faces, edges = (_padded_count(max(map(len, column))) for column in list(zip(*solids, strict=True))[1:3])
+        faces, edges = (padded_count(max(map(len, column))) for column in list(zip(*solids, strict=True))[1:3])
         sizes = Polyhedron(faces, faces, edges, edges)
-        solids = [Polyhedron(*map(_repeated, piece, sizes)) for piece in solids]
+        solids = [Polyhedron(*map(with_repeated, piece, sizes)) for piece in solids]
     return jax.tree.map(lambda *each: np.stack(list(map(np.asarray, each))), *solids)
-
-
-def _repeated(rows: np.ndarray, count: int) -> np.ndarray:
-    return np.asarray(rows)[np.minimum(np.arange(count), len(rows) - 1)]
 
 
 def _ball(piece: Polyhedron) -> np.ndarray:
@@ -235,6 +240,17 @@ def _ball(piece: Polyhedron) -> np.ndarray:
 def _each_seen(stack: Solid, p: Ends, q: Ends) -> SolidContact:
     """Return the contact of every solid with every segment (n, K)."""
     return jax.vmap(lambda solid: jax.vmap(solid.contact)(p, q))(stack)
+
+
+def _seen_in_turn(stack: Solid, count: Int[Array, ""], p: Ends, q: Ends) -> SolidContact:
+    """Return the contact of each of the first `count` solids with every segment (n, K); the others are far away."""
+
+    def measure(k: Int[Array, ""], seen: SolidContact) -> SolidContact:
+        found = jax.vmap(jax.tree.map(lambda leaf: leaf[k], stack).contact)(p, q)
+        return jax.tree.map(lambda every, new: every.at[k].set(new), seen, found)
+
+    nothing = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(stack[0]), *leaf.shape)), _nothing(len(p)))
+    return jax.lax.fori_loop(0, count, measure, nothing)
 
 
 def _nothing(bodies: int) -> SolidContact:

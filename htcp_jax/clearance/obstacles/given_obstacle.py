@@ -71,14 +71,11 @@ class GivenObstacle(Obstacle):
 
     def _checked_bodies(self, own: ObstacleKind, robot: Robot, where: HasWorkpiecePose) -> Bool[jax.Array, "K"]:
         """Return True for bodies that are checked against the obstacle."""
-        links = np.array(robot.capsule_link)
-        first = np.setdiff1d(np.flatnonzero(np.isin(links, robot.root_links)), robot.attached)
-        is_checked = jnp.asarray(links >= 0)
-        if not len(first):
-            return is_checked
+        links, attached = jnp.asarray(robot.capsule_link), np.isin(np.arange(len(robot.capsule_link)), robot.attached)
+        may_stand = jnp.isin(links, jnp.array(robot.root_links)) & ~attached
         drawn = bodies_at(robot, where, jnp.zeros(robot.dof))
-        at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p[first], drawn.q[first])
-        return is_checked.at[first].set(at_zero > robot.capsule_radius[first])
+        at_zero = jax.vmap(lambda p, q: _nearest(own, p, q)[1])(drawn.p, drawn.q)
+        return (links >= 0) & (~may_stand | (at_zero > robot.capsule_radius))
 
 
 def _nearest(own: ObstacleKind, p: Vector3, q: Vector3) -> tuple[Vector3, Scalar, Scalar]:

@@ -7,17 +7,19 @@ with the distance of the nearest obstacle. Any other kind has its own rows.
 `obstacle_kind` has a simpler base class for obstacles of other packages. A `Scene` has the obstacles of a plan.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance, SweptCapsules
 from htcp_jax.model import TCP_POSITION, Robot, Task, kinematics
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import product
+from htcp_jax.numerics import joined, product
 from htcp_jax.pytree import without_labels
-from htcp_jax.types import Bool, Float, Joints, Pose, Scalar
+from htcp_jax.types import Anywhere, Bool, Float, Int, Joints, Pose, Scalar
 
 DECIDED_M = 1e-12  # [m]; a distance in 64-bit floats is wrong by less than this within 100 m of the origin
 
@@ -31,16 +33,34 @@ class HasWorkpiecePose(Protocol):
 
 
 class RowPairs(NamedTuple):
-    """Both sides of each of R rows of distances: a body, and the link that the obstacle is fixed to; static in JAX."""
+    """Both sides of each of R rows of distances: a body, and the link that the obstacle is fixed to."""
 
-    body: tuple[int, ...]  # index of the capsule
-    other: tuple[int, ...]  # link that the obstacle's nearest point is fixed to, nearer to the base; -1: the world
+    body: Int[Anywhere, "R"]  # index of the capsule
+    # link that the obstacle's nearest point is fixed to, nearer to the base, -1 for the world; None: always the world
+    other: Int[Anywhere, "R"] | None = None
 
     @classmethod
     def of_bodies(cls, robot: Robot) -> "RowPairs":
         """Return one row per body, with the world as its other side: the rows of every kind with `per_body`."""
-        bodies = len(robot.capsule_link)
-        return cls(tuple(range(bodies)), (-1,) * bodies)
+        return cls(np.arange(len(robot.capsule_link)))
+
+    @classmethod
+    def concatenate(cls, parts: "Sequence[RowPairs]") -> "RowPairs":
+        """Return the rows of several parts, one part after the other."""
+        body = joined([part.body for part in parts])
+        if all(part.other is None for part in parts):
+            return cls(body)
+        return cls(body, joined([part.others for part in parts]))
+
+    @property
+    def others(self) -> Int[Anywhere, "R"]:
+        """The link on the other side of each row; -1 is the world."""
+        return np.full(len(self.body), -1) if self.other is None else self.other
+
+    def links(self, robot: Robot) -> Int[Anywhere, "R"]:
+        """Return the link of each row's body."""
+        links = robot.body_links
+        return (links if isinstance(self.body, np.ndarray) else jnp.asarray(links))[self.body]
 
 
 class Contacts(NamedTuple):
@@ -189,6 +209,15 @@ class Obstacle:
         """Return True if a body certainly has less clearance than the margin of `where`; False if this is not known."""
         return jnp.zeros((), bool)
 
+    def for_programs(self, robot: Robot, bodies: int) -> "Obstacle":
+        """Return the obstacle as compiled functions take it, see `Scene.for_programs`.
+
+        Args:
+            robot: The robot, without padding.
+            bodies: Number of bodies with padding.
+        """
+        return self
+
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
         """Return the name of the obstacle's part that is nearest to the body of a row, for messages."""
         return f"the obstacle {type(self).__name__!r}"
@@ -199,8 +228,7 @@ Obstacles = tuple[Obstacle, ...]
 
 def rows_of(robot: Robot, obstacles: Obstacles) -> RowPairs:
     """Return both sides of each row of all obstacles together."""
-    parts = [own[0].rows(robot) for own in grouped(obstacles)]
-    return RowPairs(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
+    return RowPairs.concatenate([own[0].rows(robot) for own in grouped(obstacles)])
 
 
 def grouped(obstacles: Obstacles) -> list[Obstacles]:
@@ -227,8 +255,8 @@ def slopes(
         point: Points of the bodies at x, world [m].
         witness: Points of the obstacles at x, world [m].
     """
-    motion = kinematics.point_jacobians(robot, x, point, tuple(robot.capsule_link[body] for body in rows.body))
-    if any(link >= 0 for link in rows.other):
+    motion = kinematics.point_jacobians(robot, x, point, rows.links(robot))
+    if rows.other is not None:
         motion = motion - kinematics.point_jacobians(robot, x, witness, rows.other)
     return jnp.sum(normal[:, :, None] * motion, axis=1)
 
@@ -244,6 +272,27 @@ class Scene(NamedTuple):
     def rows(self) -> RowPairs:
         """Both sides of each row of clearance, see `RowPairs`."""
         return rows_of(self.robot, self.obstacles)
+
+    def for_programs(self) -> "Scene":
+        """Return the scene as compiled functions take it: without labels, and with the arm's structure as data.
+
+        The number of bodies and that of pairs are padded to one of few, so that most arms with the same number of
+        joints share executables. An arm in which joints follow others is not changed.
+        """
+        own = self.without_labels()
+        if own.robot.coupling is not None:
+            return own
+        robot = robots.for_programs(own.robot)
+        count = len(robot.capsule_link)
+        return own._replace(robot=robot, obstacles=tuple(each.for_programs(own.robot, count) for each in own.obstacles))
+
+    def rows_within(self, padded: "Scene") -> Int[np.ndarray, "R"]:
+        """Return the indices of the scene's rows among those of the same scene with padding, see `for_programs`."""
+        own, theirs = (
+            [len(each[0].rows(scene.robot).body) for each in grouped(scene.obstacles)] for scene in (self, padded)
+        )
+        starts = np.cumsum([0, *theirs])
+        return np.concatenate([start + np.arange(count) for start, count in zip(starts, own, strict=False)])
 
     def without_labels(self) -> "Scene":
         """Return the scene without names and other data that only messages and files need.

@@ -95,8 +95,8 @@ class PlacedCloud(Obstacle):
         """
         R, t = self.T_world[:3, :3], self.T_world[:3, 3].reshape(1, 3)
         own = bodies._replace(p_workpiece=product(bodies.p - t, R), q_workpiece=product(bodies.q - t, R))
-        links = np.array(robot.capsule_link)
-        is_checked = (links >= 0) & ~np.isin(links, self.excluded)
+        links = jnp.asarray(robot.capsule_link)
+        is_checked = (links >= 0) & ~jnp.isin(links, jnp.array(self.excluded, int))
         radius = jnp.where(is_checked, robot.capsule_radius, -robots.FAR_M)
         return (
             dataclasses.replace(robot, capsule_radius=radius),

@@ -8,9 +8,10 @@ Pairs that need no check are excluded, see self_exclusions.py.
 
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import count
 from typing import NamedTuple
 
 import jax
@@ -30,9 +31,9 @@ from htcp_jax.clearance.obstacles.self_exclusions import (
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import one_by_one, safe_divide, safe_norm
+from htcp_jax.numerics import one_by_one, safe_divide, safe_norm, with_repeated
 from htcp_jax.pytree import LABEL, register_pytree
-from htcp_jax.types import Array, Float, Int, Scalar
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Scalar
 
 FEW_PAIRS = 128  # number of pairs up to which the contacts of all pairs are computed
 USUAL = 0.99  # a start is refused if an excluded pair overlaps more than in this share of random configurations
@@ -56,6 +57,7 @@ class SelfCollision(Obstacle):
 
     pairs: Pairs = field(metadata={"static": True})
     excluded: tuple[robots.Exclusion, ...] = field(default=(), metadata=LABEL)
+    table: "PairTable | None" = None  # of a compiled program, whose pairs are data; `pairs` is then empty
 
     per_body = False
     in_pairs = True
@@ -63,37 +65,36 @@ class SelfCollision(Obstacle):
 
     def rows(self, robot: Robot) -> RowPairs:
         """Return one row for each body and each link nearer to the base, if they have a checked pair."""
-        return RowPairs(*zip(*self._rows(robot), strict=True))
+        table = self.table_of(robot)
+        return RowPairs(table.body, table.other)
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every row's nearest pair."""
-        return self._contacts(robot, where, bodies, _measured(robot, self.pairs, bodies.p, bodies.q))
+        return self._contacts(robot, where, bodies, self._measured(robot, bodies))
 
     def _contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs") -> Contacts:
         if robot.pieces is not None:
             return narrow_phase.decide(robot, bodies, [self._doubts(robot, where, every)])[0]
-        return every.contacts(self._nearest_of(every.distance, list(self._rows(robot).values())))
+        return every.contacts(self.table_of(robot).nearest(every.distance))
 
     def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
         """Return the smallest distance of all pairs [m], without its contact."""
         if robot.pieces is not None:
             return super().any_below(robot, where, bodies, limit_m)
-        return jnp.min(_measured(robot, self.pairs, bodies.p, bodies.q).distance)
+        return jnp.min(self._measured(robot, bodies).distance)
 
     def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
         """Return the rows whose capsules are in doubt, and their pairs, see `narrow_phase`."""
-        return self._doubts(robot, where, _measured(robot, self.pairs, bodies.p, bodies.q))
+        return self._doubts(robot, where, self._measured(robot, bodies))
 
     def _doubts(self, robot: Robot, where: HasWorkpiecePose, every: "_MeasuredPairs") -> narrow_phase.Doubts:
-        rows = list(self._rows(robot).values())
-        capsules = every.contacts(self._nearest_of(every.distance, rows))
-        row = np.argsort(np.concatenate(rows)), np.repeat(np.arange(len(rows)), list(map(len, rows)))
-        row_of_pair = jnp.asarray(row[1][row[0]])
-        first, second = (jnp.asarray(side) for side in zip(*self.pairs, strict=True))
+        table = self.table_of(robot)
+        capsules = every.contacts(table.nearest(every.distance))
+        first, second, row_of_pair = map(jnp.asarray, (table.first, table.second, table.row))
         limit, excess = narrow_phase.limit_m(where), robot.pieces.excess_m
         doubt = narrow_phase.in_doubt(every.distance, excess[first] + excess[second], limit)
         doubt &= (capsules.distance < limit)[row_of_pair]
-        certain = self._nearest_of(jnp.where(doubt, jnp.inf, every.distance), rows)
+        certain = table.nearest(jnp.where(doubt, jnp.inf, every.distance))
         exact = every.contacts(certain)
         is_near = (exact.distance < limit) & ~doubt[certain]
         known = narrow_phase.chosen(is_near, exact, narrow_phase.undecided(capsules, limit))
@@ -102,7 +103,7 @@ class SelfCollision(Obstacle):
 
     def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
         """Return the name of the other link's capsule that is nearest to the body of a row, for messages."""
-        numbers = self._table(list(self._rows(robot).values()))[row]
+        numbers = self.table_of(robot).numbers[row]
         nearest = numbers[int(_distances_alone(self, robot, where, bodies, numbers, row).argmin())]
         return robots.capsule_label(robot, robot.capsule_names[self.pairs[nearest][1]])
 
@@ -117,23 +118,64 @@ class SelfCollision(Obstacle):
         """Excluded pairs that could collide."""
         return tuple(each for each in self.excluded if each.rule in COULD_COLLIDE)
 
-    def _rows(self, robot: Robot) -> dict[tuple[int, int], list[int]]:
-        """Return the rows' keys, (body, link), with the indices of each row's pairs."""
-        found = {}
-        for number, (a, b) in enumerate(self.pairs):
-            found.setdefault((a, robot.capsule_link[b]), []).append(number)
-        return found
+    def for_programs(self, robot: Robot, bodies: int) -> "SelfCollision":
+        """Return the obstacle with its pairs as data."""
+        return SelfCollision((), table=self.table_of(robot).padded())
 
-    def _table(self, rows: list[list[int]]) -> np.ndarray:
-        """Return the indices of each row's pairs as a table; shorter rows are padded with their last pair."""
-        most = max(map(len, rows))
-        return np.array([(own + own[-1:] * most)[:most] for own in rows])
+    def table_of(self, robot: Robot) -> "PairTable":
+        """Return the pairs and the rows as arrays."""
+        return _pair_table(self.pairs, robot.capsule_link) if self.table is None else self.table
 
-    def _nearest_of(self, distance: Float[jax.Array, "n"], rows: list[list[int]]) -> Int[jax.Array, "R"]:
+    def _measured(self, robot: Robot, bodies: BodyAxes) -> "_MeasuredPairs":
+        return _measured(robot, self.table_of(robot), bodies.p, bodies.q)
+
+
+class PairTable(NamedTuple):
+    """P pairs of bodies, and R rows, each of a body and a link with a pair; as arrays."""
+
+    first: Int[Anywhere, "P"]  # index of a capsule
+    second: Int[Anywhere, "P"]  # index of a capsule on a link nearer to the base
+    row: Int[Anywhere, "P"]  # row of each pair
+    body: Int[Anywhere, "R"]  # index of the capsule of each row
+    other: Int[Anywhere, "R"]  # link of each row
+    numbers: Int[Anywhere, "R most"]  # indices of each row's pairs; shorter rows are padded with their last pair
+    is_pair: Bool[Anywhere, "P"] | None = None  # False: padding, at the end; None: there is none
+    is_row: Bool[Anywhere, "R"] | None = None
+
+    def nearest(self, distance: Float[jax.Array, "P"]) -> Int[jax.Array, "R"]:
         """Return the index of the pair with the smallest distance in every row."""
-        table = self._table(rows)
-        best = jnp.argmin(distance[table], axis=1)
-        return jnp.take_along_axis(jnp.asarray(table), best[:, None], axis=1)[:, 0]
+        numbers = jnp.asarray(self.numbers)
+        best = jnp.argmin(distance[numbers], axis=1)
+        return jnp.take_along_axis(numbers, best[:, None], axis=1)[:, 0]
+
+    def padded(self) -> "PairTable":
+        """Return the table with one of few sizes."""
+        pairs, rows = len(self.first), len(self.body)
+        sizes = next(
+            each for each in _sizes() if all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
+        )
+        numbers = with_repeated(with_repeated(self.numbers, sizes[1]).T, sizes[2]).T
+        of_pairs, of_rows = (
+            [with_repeated(each, size) for each in own] for own, size in zip((self[:3], self[3:5]), sizes, strict=False)
+        )
+        is_pair, is_row = (np.arange(size) < own for size, own in zip(sizes, (pairs, rows), strict=False))
+        return PairTable(*of_pairs, *of_rows, numbers, is_pair, is_row)
+
+
+def _sizes() -> Iterator[tuple[int, int, int]]:
+    """Return numbers of pairs, of rows, and of pairs in a row, for which programs are compiled; in growing order."""
+    return ((32 * 2**k, 16 * 2**k, 2 * 2**k) for k in count())
+
+
+@lru_cache(maxsize=256)
+def _pair_table(pairs: Pairs, links: tuple[int, ...]) -> PairTable:
+    rows: dict[tuple[int, int], list[int]] = {}
+    for number, (a, b) in enumerate(pairs):
+        rows.setdefault((a, links[b]), []).append(number)
+    most, each = max(map(len, rows.values())), list(rows)
+    row = np.array([each.index((a, links[b])) for a, b in pairs])
+    numbers = np.array([(own + own[-1:] * most)[:most] for own in rows.values()])
+    return PairTable(*np.array(pairs).T, row, *np.array(each).T, numbers)
 
 
 def make_self_collision(robot: Robot) -> SelfCollision | None:
@@ -236,17 +278,27 @@ class _MeasuredPairs(NamedTuple):
     contacts: Callable[[Int[jax.Array, "R"]], Contacts]  # returns the contacts of the pairs with these indices
 
 
-def _measured(robot: Robot, pairs: Pairs, p: Ends, q: Ends) -> _MeasuredPairs:
-    a, b = (np.array(side) for side in zip(*pairs, strict=True))
-    if len(pairs) <= FEW_PAIRS:
+def _measured(robot: Robot, table: PairTable, p: Ends, q: Ends) -> _MeasuredPairs:
+    a, b = table.first, table.second
+    if len(a) <= FEW_PAIRS:
         every = _pair_contacts(robot, a, b, p, q)
-        return _MeasuredPairs(every.distance, lambda numbers: jax.tree.map(lambda leaf: leaf[numbers], every))
-    away = _many_distances((a, b), p.T, q.T, robot.capsule_radius)
-    first, second = jnp.asarray(a), jnp.asarray(b)
-    return _MeasuredPairs(away, lambda numbers: _column_contacts(robot, first[numbers], second[numbers], p.T, q.T))
+        away = every.distance
+        of_pairs = lambda numbers: jax.tree.map(lambda leaf: leaf[numbers], every)  # noqa: E731
+    else:
+        away = _many_distances((a, b), p.T, q.T, robot.capsule_radius)
+        first, second = jnp.asarray(a), jnp.asarray(b)
+        of_pairs = lambda numbers: _column_contacts(robot, first[numbers], second[numbers], p.T, q.T)  # noqa: E731
+    if table.is_pair is None:
+        return _MeasuredPairs(away, of_pairs)
+
+    def contacts(numbers: Int[jax.Array, "R"]) -> Contacts:
+        found = of_pairs(numbers)
+        return found._replace(distance=jnp.where(table.is_row, found.distance, robots.FAR_M))
+
+    return _MeasuredPairs(jnp.where(table.is_pair, away, robots.FAR_M), contacts)
 
 
-def _pair_contacts(robot: Robot, a: np.ndarray, b: np.ndarray, p: Ends, q: Ends) -> Contacts:
+def _pair_contacts(robot: Robot, a: Int[Anywhere, "P"], b: Int[Anywhere, "P"], p: Ends, q: Ends) -> Contacts:
     _, _, on_a, on_b = nearest_points(p[a], q[a], p[b], q[b])
     return _contacts(on_a, on_b, robot.capsule_radius[a] + robot.capsule_radius[b])
 
@@ -283,7 +335,7 @@ def _distances_alone(
     row: Int[Array, ""],
 ) -> Float[Array, "n"]:
     """Return the distances of n pairs of a row [m], each computed as if it were the row's only pair."""
-    every = _measured(robot, own.pairs, bodies.p, bodies.q)
+    every = own._measured(robot, bodies)
 
     def alone(number: Int[Array, ""]) -> Scalar:
         distance = jnp.where(jnp.arange(len(own.pairs)) == number, every.distance, jnp.inf)

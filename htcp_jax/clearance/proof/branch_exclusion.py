@@ -29,7 +29,7 @@ from htcp_jax.clearance.proof.exclusion import (
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, axis_angle_matrix, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import product, safe_norm
+from htcp_jax.numerics import joined, product, safe_norm
 from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 ROUNDING_RAD = 1e-7  # upper bound on the rounding error of any angle, including an arc cosine near 1
@@ -279,18 +279,17 @@ def _on_arm(robot: Robot, own: Branch, ball: tuple[Vector3, Scalar], use: Int[Ar
 
     A second bound for bodies of the last two of these links: their distance from the wrist, which stays in a ball.
     """
-    all_links = np.array(robot.capsule_link)
-    here = np.flatnonzero((all_links >= 0) & (all_links <= 3))
-    links = np.tile(all_links[here], 2)
-    wrist, ends = exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p[here], robot.capsule_q[here]])
-    at = kinematics.point_positions(robot, own.x, jnp.concatenate([wrist[None], ends]), (3, *links.tolist()))
+    links = joined([robot.body_links] * 2)
+    here = jnp.asarray((links >= 0) & (links <= 3))
+    wrist, ends = exclusion.wrist(robot).on_arm, jnp.concatenate([robot.capsule_p, robot.capsule_q])
+    at = kinematics.point_positions(robot, own.x, jnp.concatenate([wrist[None], ends]), joined([np.array([3]), links]))
     moves = point_motion_bound(robot, own.x, own.turns, at[1:], links)
     centre, radius = ball
     turned = 2 * jnp.sin(0.5 * jnp.minimum(jnp.stack([own.forearm_turns, own.turns[3]]), jnp.pi))
     off = jnp.where(links == 3, seen_from(robot.axis[3], ends)[1], 0.0)
     near = radius + safe_norm(at[0] - centre) + turned[0] * safe_norm(at[1:] - at[:1]) + turned[1] * off
     moves = jnp.where(links >= 2, jnp.minimum(moves, near), moves) + ROUNDING_M
-    return _swept(robot, here, at[1:], moves + unused_m(use, Bodies.ARM))
+    return _swept(robot, at[1:], moves + jnp.where(here, unused_m(use, Bodies.ARM), exclusion.UNUSED_M))
 
 
 def _on_tool(
@@ -306,18 +305,19 @@ def _on_tool(
 
     The bounds follow from the tool's cell of orientations and from the last joint.
     """
-    here = np.flatnonzero(np.array(robot.capsule_link) == 4)
+    here = jnp.tile(jnp.asarray(robot.capsule_link) == 4, 2)
     T, axis, tip = robot.T_parent_joint[5], robot.axis[5], robot.T_link_tcp[:3, 3]
-    ends = jnp.concatenate([robot.capsule_p[here], robot.capsule_q[here]])
+    ends = jnp.concatenate([robot.capsule_p, robot.capsule_q])
     ends = product(ends - T[None, :3, 3], T[:3, :3])  # in the last link's frame, with the last joint at 0
     off = seen_from(axis, ends)[1]
     ends = product(ends, _rotation(axis, -own.x[5]).T) - tip[None]
     turned = 2 * jnp.sin(0.5 * jnp.minimum(jnp.stack([rho, own.turns[5]]), jnp.pi))
     moves = turned[0] * safe_norm(ends) + turned[1] * off + tolerance_m + ROUNDING_M
-    return _swept(robot, here, target[None] + product(ends, tool.T), moves + unused_m(use, Bodies.WRIST))
+    moves += jnp.where(here, unused_m(use, Bodies.WRIST), exclusion.UNUSED_M)
+    return _swept(robot, target[None] + product(ends, tool.T), moves)
 
 
-def _swept(robot: Robot, bodies: np.ndarray, ends: Float[Array, "n 3"], moves: Float[Array, "n"]) -> SweptCapsules:
-    """Return capsules from the ends of their axes [m], first all p, then all q, and bounds on the ends' motion [m]."""
+def _swept(robot: Robot, ends: Float[Array, "n 3"], moves: Float[Array, "n"]) -> SweptCapsules:
+    """Return all bodies, from their axes' ends, first all p, then all q, and bounds on the ends' motion [m]."""
     p, q = jnp.split(ends, 2)
-    return SweptCapsules(p, q, robots.core_radius(robot)[bodies], jnp.max(moves.reshape(2, -1), axis=0))
+    return SweptCapsules(p, q, robots.core_radius(robot), jnp.max(moves.reshape(2, -1), axis=0))

@@ -31,7 +31,7 @@ from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacles, S
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M, point_motion_bound
 from htcp_jax.model import Robot, kinematics, quaternion_matrix
 from htcp_jax.model import robot as robots
-from htcp_jax.numerics import product, safe_divide, safe_norm
+from htcp_jax.numerics import joined, product, safe_divide, safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 UNUSED_M = 1e6  # displacement of bodies that a proof does not use, so that they never certainly touch anything
@@ -117,16 +117,13 @@ def _about_tip(robot: Robot, bodies: Int[Array, ""] | Bodies) -> SweptCapsules:
     The bodies of the link before the last are moved onto the last joint's axis.
     """
     last = len(robot.slides) - 1
-    links, tip = np.array(robot.capsule_link), robot.T_link_tcp[:3, 3]
-    tool, wrist = np.flatnonzero(links == last), np.flatnonzero((links == last - 1) & (links >= 0))
-    p, q = robot.capsule_p[tool], robot.capsule_q[tool]
-    moves = jnp.zeros(len(tool)) + unused_m(bodies, Bodies.TOOL)
-    if not robot.slides[last] and len(wrist):
-        (a, off_a), (b, off_b) = (_on_axis(robot, end[wrist]) for end in (robot.capsule_p, robot.capsule_q))
-        p, q = jnp.concatenate([p, a]), jnp.concatenate([q, b])
-        off = jnp.maximum(off_a, off_b) + unused_m(bodies, Bodies.WRIST)
-        moves, tool = jnp.concatenate([moves, off]), np.concatenate([tool, wrist])
-    return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robots.core_radius(robot)[tool], moves))
+    links, tip = jnp.asarray(robot.capsule_link), robot.T_link_tcp[:3, 3]
+    tool, wrist = links == last, (links == last - 1) & (links >= 0) & ~jnp.asarray(robot.slides)[last]
+    (a, off_a), (b, off_b) = (_on_axis(robot, end) for end in (robot.capsule_p, robot.capsule_q))
+    p, q = (jnp.where(tool[:, None], *ends) for ends in ((robot.capsule_p, a), (robot.capsule_q, b)))
+    off = jnp.maximum(off_a, off_b) + jnp.where(wrist, unused_m(bodies, Bodies.WRIST), UNUSED_M)
+    moves = jnp.where(tool, unused_m(bodies, Bodies.TOOL), off)
+    return cut_capsules(SweptCapsules(p - tip[None], q - tip[None], robots.core_radius(robot), moves))
 
 
 def unused_m(bodies: Int[Array, ""] | Bodies, own: Bodies) -> Scalar:
@@ -260,9 +257,9 @@ def arm_cell(
     first, free = len(robot.slides) - WRIST, before_wrist(robot)
     x, turns = jnp.where(free, x, 0.0), jnp.where(free, turns, 0.0)
     p, q, radius, aside, links = _before_wrist(robot)
-    own, body = (tool.on_arm[None], p, q), (first, *links, *links)
+    own, body = (tool.on_arm[None], p, q), joined([np.array([first]), links, links])
     at = kinematics.point_positions(robot, x, jnp.concatenate(own), body)
-    moves = point_motion_bound(robot, x, turns, at, np.array(body)) + ROUNDING_M
+    moves = point_motion_bound(robot, x, turns, at, body) + ROUNDING_M
     length = safe_norm(tool.on_tool - robot.T_link_tcp[:3, 3])
     off = jnp.abs(safe_norm(at[0] - target) - length) > moves[0] + scene.task.tolerance_m
     (p, q), (of_p, of_q) = jnp.split(at[1:], 2), jnp.split(moves[1:], 2)
@@ -271,21 +268,20 @@ def arm_cell(
 
 
 def _before_wrist(robot: Robot):
-    """Return the pieces of all bodies up to the wrist's first link, in the frames of their links.
+    """Return the pieces of all bodies, in the frames of their links; those after the wrist's first link are not used.
 
     The angle of the wrist's first joint is ignored: the bodies of its link are moved onto the joint's axis.
 
     Returns:
         Ends p and q [m], radius [m], distance from the joint's axis [m], and link of each piece.
     """
-    first = len(robot.slides) - WRIST
-    links = np.array(robot.capsule_link)
-    here = np.flatnonzero((links >= 0) & (links <= first))
-    bodies = robot.capsule_p[here], robot.capsule_q[here], robots.core_radius(robot)[here]
-    p, q, radius, _ = cut_capsules(SweptCapsules(*bodies, jnp.zeros(len(here))))
-    links, axis = np.tile(links[here], PIECES), robot.axis[first]
+    first, links = len(robot.slides) - WRIST, robot.body_links
+    here = jnp.asarray((links >= 0) & (links <= first))
+    bodies = robot.capsule_p, robot.capsule_q, robots.core_radius(robot), jnp.where(here, 0.0, UNUSED_M)
+    p, q, radius, unused = cut_capsules(SweptCapsules(*bodies))
+    links, axis = joined([links] * PIECES), robot.axis[first]
     turned = jnp.asarray(links == first)
     (on_p, off_p), (on_q, off_q) = seen_from(axis, p), seen_from(axis, q)
-    aside = jnp.where(turned, jnp.maximum(off_p, off_q), 0.0)
+    aside = jnp.where(turned, jnp.maximum(off_p, off_q), 0.0) + unused
     p, q = jnp.where(turned[:, None], on_p, p), jnp.where(turned[:, None], on_q, q)
-    return p, q, radius, aside, tuple(links.tolist())
+    return p, q, radius, aside, links

@@ -7,9 +7,7 @@ Schwarzer, Saha and Latombe (Adaptive Dynamic Collision Checking for Single and 
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
@@ -23,7 +21,7 @@ from htcp_jax.clearance.obstacles.obstacle import (
     bodies_at,
 )
 from htcp_jax.clearance.proof.known_rows import KnownRows, free_radii
-from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, JointSweep, body_sweep, pair_travel_bound, travel_bound
+from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, JointSweep, body_sweep, pair_travel_bound
 from htcp_jax.model import Robot, moved_by
 from htcp_jax.types import Array, Bool, Float, Joints, Scalar
 
@@ -67,9 +65,7 @@ def on_interval(
         return Interval(jnp.full((), jnp.inf), jnp.full((), jnp.inf), jnp.full((), True)), known
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, sweep)
     rows = [each.rows(robot) for each in obstacles]
-    travels = [
-        moves.travel if own == RowPairs.of_bodies(robot) else row_travel_bound(robot, own, x, sweep) for own in rows
-    ]
+    travels = [moves.travel if own.other is None else pair_travel_bound(robot, own, x, sweep) for own in rows]
     if known is None:
         measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
         free_radius = [each.free_radius(robot, where, bodies) for each in measured]
@@ -130,33 +126,9 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> 
         rows: Both sides of each row; displacements are relative to the other side's link.
         turns: Largest distance of every joint q from the middle [rad or m].
     """
-    hinge, body = ~np.array(robot.slides), np.array(rows.body)
-    moves = moved_by(robot.parents)
-    between = hinge[None] & (moves[np.array(robot.capsule_link)[body]] ^ moves[np.array(rows.other)])
+    hinge, body = ~jnp.asarray(robot.slides), rows.body
+    moves = jnp.asarray(moved_by(robot.parents))
+    between = hinge[None] & (moves[rows.links(robot)] ^ moves[jnp.asarray(rows.others)])
     angle = jnp.sum(jnp.where(between, turns[None], 0.0), axis=1)
     reach = jnp.where(robot.pieces.excess_m > 0, robot.capsule_radius + OUTSIDE_M, 0.0)[body]
     return reach * jnp.minimum(angle, 2.0)
-
-
-def row_travel_bound(robot: Robot, rows: RowPairs, x: Joints, sweep: JointSweep) -> Float[Array, "R"]:
-    """Return a bound on the displacement of each row's body relative to the link on the row's other side [m].
-
-    Only the joints between both links move the body, see `travel_bound`.
-
-    Args:
-        robot: The robot.
-        rows: Both sides of each row.
-        x: The configuration at the interval's middle [rad or m].
-        sweep: The joints' motion about it.
-
-    Raises:
-        ValueError: If a row's body does not lie after the link on its other side, in an arm that is one chain.
-    """
-    if robot.coupling is not None:
-        return pair_travel_bound(robot, rows, x, sweep)
-    if any(0 <= other >= robot.capsule_link[body] for body, other in zip(*rows, strict=True)):
-        raise ValueError("each row's body must lie after the link on the row's other side, in the chain")
-    seen_from = sorted(set(rows.other))
-    moving = np.arange(len(robot.slides))[None, :] > np.array(seen_from)[:, None]
-    found = jax.vmap(lambda moving: travel_bound(robot, x, sweep.only(moving)))(moving)
-    return found[np.array([seen_from.index(other) for other in rows.other]), np.array(rows.body)]

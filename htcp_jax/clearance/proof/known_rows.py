@@ -143,16 +143,16 @@ def _bounds(
 
 def _rows(robot: Robot, obstacles: Obstacles) -> RowPairs:
     """Return both sides of each obstacle's rows, one obstacle after the other."""
-    parts = [each.rows(robot) for each in obstacles]
-    return RowPairs(*(sum(columns, start=()) for columns in zip(*parts, strict=True)))
+    return RowPairs.concatenate([each.rows(robot) for each in obstacles])
 
 
 def _relative_ends(robot: Robot, rows: RowPairs, x: Joints, bodies: BodyAxes) -> Float[jax.Array, "R 2 3"]:
     """Return both ends of each row's body's axis in the frame of the link on the row's other side [m]."""
-    body, other = np.array(rows.body), np.array(rows.other)
+    body, other = jnp.asarray(rows.body), rows.other
     ends = jnp.stack([bodies.p[body], bodies.q[body]], axis=1)
-    if not (other >= 0).any():
+    if other is None:
         return ends
-    T = kinematics.link_poses(robot, x)[np.maximum(other, 0)]
+    other = jnp.asarray(other)
+    T = kinematics.link_poses(robot, x)[jnp.maximum(other, 0)]
     own = product(ends - T[:, None, :3, 3], T[:, :3, :3])
     return jnp.where((other >= 0)[:, None, None], own, ends)

@@ -42,7 +42,7 @@ import numpy as np
 from htcp_jax.clearance.distance.sweep import BodySweep
 from htcp_jax.clearance.obstacles.obstacle import RowPairs
 from htcp_jax.model import Robot, joints_between, kinematics
-from htcp_jax.numerics import safe_norm
+from htcp_jax.numerics import joined, safe_norm
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 OUTSIDE_M = 1e-6  # distance by which a convex piece may extend beyond its capsule
@@ -110,7 +110,7 @@ def motion_bound(robot: Robot, x: Joints, turns: Joints) -> Float[Array, "K"]:
 
 
 def point_motion_bound(
-    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
+    robot: Robot, x: Joints, turns: Joints, points: Float[Array, "P 3"], links: Int[Anywhere, "P"]
 ) -> Float[Array, "P"]:
     """Return `motion_bound` for points that are fixed to links.
 
@@ -173,23 +173,40 @@ def travel_bound(robot: Robot, x: Joints, sweep: JointSweep) -> Float[Array, "K"
 
 
 def pair_travel_bound(robot: Robot, rows: RowPairs, x: Joints, sweep: JointSweep) -> Float[Array, "R"]:
-    """Return a bound [m] on the displacement of each row's body from x, seen from the row's other side.
+    """Return a bound [m] on the displacement of each row's body from x, seen from the link on the row's other side.
+
+    Only the joints between both links move the body, see `travel_bound`.
 
     Args:
         robot: The robot.
         rows: Both sides of each row.
         x: The configuration at the interval's middle [rad or m].
         sweep: The joints' motion about it.
+
+    Raises:
+        ValueError: If a row's body does not lie after the link on its other side, in an arm that is one chain; in
+            programs, whose rows are not known, this is not checked.
     """
-    body, other = np.array(rows.body), np.tile(rows.other, 2)
-    ends = jnp.concatenate([end[body] for end in kinematics.capsule_segments(robot, x)])
-    links = np.tile(np.array(robot.capsule_link)[body], 2)
-    own = sweep.of_joints(robot)
-    return _swept(_bounds(robot, x, own, own.turns, ends, links, other), sweep.half).travel
+    p, q = (end[rows.body] for end in kinematics.capsule_segments(robot, x))
+    links, own = rows.links(robot), sweep.of_joints(robot)
+    if robot.coupling is not None:
+        sides = np.tile(links, 2), np.tile(rows.others, 2)
+        return _swept(_bounds(robot, x, own, own.turns, jnp.concatenate([p, q]), *sides), sweep.half).travel
+
+    if isinstance(links, np.ndarray) and ((rows.others >= 0) & (rows.others >= links)).any():
+        raise ValueError("each row's body must lie after the link on the row's other side, in the chain")
+
+    def of_row(p: Vector3, q: Vector3, link: Int[Array, ""], other: Int[Array, ""]) -> Scalar:
+        after = own.only(jnp.arange(len(robot.slides)) > other)
+        return _swept(
+            _bounds(robot, x, after, after.turns, jnp.stack([p, q]), jnp.stack([link] * 2)), sweep.half
+        ).travel[0]
+
+    return jax.vmap(of_row)(p, q, jnp.asarray(links), jnp.asarray(rows.others))
 
 
 def point_bend_bound(
-    robot: Robot, x: Joints, sweep: JointSweep, points: Float[Array, "P 3"], links: Int[np.ndarray, "P"]
+    robot: Robot, x: Joints, sweep: JointSweep, points: Float[Array, "P 3"], links: Int[Anywhere, "P"]
 ) -> Float[Array, "P"]:
     """Return a bound [m] on the second derivative |p''| of points fixed to links, on an interval of a joint path.
 
@@ -211,15 +228,15 @@ def _of_arm(robot: Robot, x: Joints, sweep: JointSweep) -> tuple[Float[Array, "P
     return points, _bounds(robot, x, own, own.turns, points, links)
 
 
-def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[np.ndarray, "P"]]:
+def arm_points(robot: Robot, x: Joints) -> tuple[Float[Array, "P 3"], Int[Anywhere, "P"]]:
     """Return the ends of the bodies' axes and, last, the TCP at x, world [m], and the link of each."""
     ends, links = _axis_ends(robot, kinematics.capsule_segments(robot, x))
-    return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), np.append(links, robot.tcp_link)
+    return jnp.concatenate([ends, kinematics.tcp_position(robot, x)[None]]), joined([links, np.array([robot.tcp_link])])
 
 
 def _axis_ends(robot: Robot, segments: tuple[Float[Array, "K 3"], Float[Array, "K 3"]]):
     """Return both ends of every body's axis [m], first all p, then all q, and their links."""
-    return jnp.concatenate(segments), np.tile(np.array(robot.capsule_link, int), 2)
+    return jnp.concatenate(segments), joined([robot.body_links] * 2)
 
 
 def _larger(bounds: Float[Array, "P"]) -> Float[Array, "K"]:
@@ -233,14 +250,14 @@ def _bounds(
     sweep: JointSweep,
     turns: Float[Array, "J"],
     points: Float[Array, "P 3"],
-    links: Int[np.ndarray, "P"],
+    links: Int[Anywhere, "P"],
     others: Int[np.ndarray, "P"] | None = None,
 ) -> _Bounds:
     """Return bounds for points at x [m]: every joint q stays within `turns` of its value, and moves by `sweep`.
 
     The motion is seen from the world, or from the links `others`.
     """
-    hinge = ~np.array(robot.slides)
+    hinge = robot.hinges
     if robot.coupling is None:
         columns = kinematics.point_jacobians(robot, x, points, links).swapaxes(1, 2)
         own = jnp.where(~hinge[None] & (np.arange(len(hinge))[None] <= links[:, None]), 1.0, safe_norm(columns))
@@ -263,17 +280,17 @@ def _bounds_of_chain(
     levers: Float[Array, "P n"],
     sweep: JointSweep,
     turns: Float[Array, "n"],
-    hinge: Bool[np.ndarray, "n"],
+    hinge: Bool[Anywhere, "n"],
 ) -> _Bounds:
     """Return the bounds for P points by the n joints of a chain, from their velocities per unit speed of each joint."""
     rates, bend = sweep.rates, jnp.zeros(len(columns))
     speeds = jnp.abs(rates) if sweep.speeds is None else sweep.speeds
     if not len(hinge):
         return _Bounds(jnp.zeros((len(columns), 3)), bend, bend, None if sweep.off is None else bend)
-    lever, moved = lever_bounds(levers, turns, hinge)
+    (lever, moved), turning = lever_bounds(levers, turns, hinge), hinge.astype(float)
     for j in reversed(range(len(hinge))):
         turned = 2 * jnp.sum(speeds[:j], where=hinge[:j])
-        bend = bend + speeds[j] * lever[j] * (turned + (speeds[j] if hinge[j] else 0.0))
+        bend = bend + speeds[j] * lever[j] * (turned + turning[j] * speeds[j])
     if sweep.bends is not None:
         bend = bend + sum(own * lever[j] for j, own in enumerate(sweep.bends))
     off = None if sweep.off is None else sum(own * lever[j] for j, own in enumerate(sweep.off))
@@ -281,7 +298,7 @@ def _bounds_of_chain(
 
 
 def lever_bounds(
-    levers: Float[Anywhere, "*L P N"], turns: Float[Anywhere, "*T N"], hinge: Bool[np.ndarray, "N"]
+    levers: Float[Anywhere, "*L P N"], turns: Float[Anywhere, "*T N"], hinge: Bool[Anywhere, "N"]
 ) -> tuple[list[Float[Anywhere, "... P"]], Float[Anywhere, "... P"]]:
     """Return r_j + M_{j+1} for each joint (r_j for a slide), and M_1, see the module's docstring; numpy or JAX.
 
@@ -290,9 +307,8 @@ def lever_bounds(
         turns: d_j, the largest distance of every joint from its value [rad or m].
         hinge: True for hinges.
     """
-    bounds, moved = [], 0.0
+    bounds, moved, turning = [], 0.0, hinge.astype(float)
     for j in reversed(range(len(hinge))):
-        own = levers[..., j]
-        bounds.insert(0, own + moved if hinge[j] else own)
+        bounds.insert(0, levers[..., j] + turning[j] * moved)
         moved = moved + turns[..., None, j] * bounds[0]
     return bounds, moved

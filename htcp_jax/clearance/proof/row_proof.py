@@ -91,7 +91,7 @@ class _FeatureSweep(FeatureMotion):
     @property
     def turning(self) -> Scalar:
         """Sum of the hinges' |rates| [rad], without hinges on side branches that move no feature."""
-        still, rates = np.array(self.robot.slides), kinematics.joint_rates(self.robot, self.rates)
+        still, rates = jnp.asarray(self.robot.slides), kinematics.joint_rates(self.robot, self.rates)
         if self.robot.coupling is not None:
             frames = [f.link for f in self.features] + [f.seen_from.link for f in self.features if f.seen_from]
             links = [self.robot.tcp_link if link is None else link for link in frames]

@@ -37,7 +37,8 @@ class LaneChecks:
 
     def keeps_margin(self, lanes: Lanes, here: step_functions.State) -> np.ndarray:
         """Return True for lanes that are on their target and satisfy the margin."""
-        return self.executor.task.is_satisfied(here.clearance, here.residual, self._scenarios.margin_m[lanes.scenario])
+        margin_m, _ = self._scenarios.margins_to(lanes.scenario, lanes.target)
+        return self.executor.task.is_satisfied(here.clearance, here.residual, margin_m)
 
     def tip_free(self, lanes: Lanes, x: np.ndarray, among: np.ndarray) -> np.ndarray:
         """Return True for lanes marked by `among` whose bare tip at x does not pass through a wall.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearances, contacts, minimum_clearance
@@ -19,9 +20,10 @@ from htcp_jax.motion import lane_inputs, step_functions
 from htcp_jax.numerics import checked_shape, fold_keys, null_basis, product, with_gradient
 from htcp_jax.settings import Settings, settings_of
 from htcp_jax.solvers import sphere
-from htcp_jax.types import Array, Float, Int, Joints, Scalar
+from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar
 
 READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings read by every null-space step
+FAR_M = 10.0
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # numbers in `draw_clear`: draws, draws pushed clear, null-space steps per push
 
 
@@ -40,17 +42,21 @@ class StuckScenario(NamedTuple):
     key: jax.Array  # random key, folded from seed, scenario, target, stage and round
 
 
-def seen_rows(scene: Scene, include_proximal_bodies: bool) -> tuple[bool, ...]:
+def seen_rows(scene: Scene, include_proximal_bodies: bool) -> Bool[Anywhere, "R"]:
     """Return True for the rows that J2 includes: all rows, or only those of bodies on the outer half of the chain.
 
     On the GP50 the outer half has capsules 4 to 8. Bodies on a side branch belong to the chain's link that carries it.
     """
-    robot, half = scene.robot, (scene.robot.tcp_link + 1) // 2
+    robot, links = scene.robot, scene.rows.links(scene.robot)
 
     def on_chain(link: int) -> int:
         return link if link <= robot.tcp_link else on_chain(robot.parents[link])
 
-    return tuple(include_proximal_bodies or on_chain(robot.capsule_link[body]) >= half for body in scene.rows.body)
+    if include_proximal_bodies:
+        return np.ones(len(links), bool)
+    if robot.coupling is not None:
+        links = np.array([on_chain(link) for link in links.tolist()])
+    return links >= (robot.tcp_link + 1) // 2
 
 
 def sphere_problem(
@@ -75,13 +81,14 @@ def sphere_problem(
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
     unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
-    # Rows that J2 does not include get a distance that is never the smallest.
-    far = jnp.where(unseen, 10.0, 0.0)
+    # Rows that J2 does not include, and those of bodies that are not tested, get a distance that is never the smallest.
+    far = jnp.where(unseen, FAR_M, 0.0)
 
     def observe(w):
         x = x_ref + product(step_basis, w)
         touch = contacts(robot, obstacles, where, x)
-        return touch.distance + far - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
+        distance = jnp.minimum(touch.distance, FAR_M) + far
+        return distance - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
@@ -92,7 +99,7 @@ def sphere_problem(
     def predicted(w, held):
         value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
-        value = value + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        value = jnp.minimum(value, FAR_M) + jnp.concatenate([far] * rounds) - product(w, product(half, w))
         return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
 
     G = jnp.concatenate([step_basis, -step_basis])

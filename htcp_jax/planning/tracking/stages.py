@@ -34,6 +34,7 @@ class NullSpace:
 
     minimise: Minimise
     settings: tuple[str, ...] = ()  # names of the settings that `minimise` reads
+    sizes: lane_function.DeviceSizes = lane_function.DEEP_LOOP  # number of lanes per call
 
     in_null_space = True
 
@@ -41,7 +42,7 @@ class NullSpace:
         """Return the lane function for a chunk of null-space steps, as stage `index` of a method."""
         reads = (*READS, *step_functions.MEASURED, *self.settings)
         return lane_function.LaneFunction(
-            f"null space {index}", take_null_space_steps, lane_function.DEEP_LOOP, reads, (self.minimise, index)
+            f"null space {index}", take_null_space_steps, self.sizes, reads, (self.minimise, index)
         )
 
 

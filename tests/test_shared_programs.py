@@ -1,0 +1,87 @@
+"""Executables that arms, cells and parts share: the arm's structure is data, and padding changes no result."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import test_known_rows
+import toy
+from test_kept_executables import key_of
+
+from htcp_jax.clearance import Scene, clearances, contacts, is_clear
+from htcp_jax.clearance.distance.solids import Box
+from htcp_jax.clearance.obstacles.cloud import cloud_of
+from htcp_jax.clearance.obstacles.fixtures import fixtures
+from htcp_jax.clearance.obstacles.self_collision import SelfCollision
+from htcp_jax.cli import typical_jobs
+from htcp_jax.model import Robot
+from htcp_jax.model.robot import FAR_M
+from htcp_jax.motion.step_functions import ADVANCE, PROVE
+
+
+def cell(robot: Robot, points: int, boxes: int, pairs: tuple[tuple[int, int], ...]) -> Scene:
+    """A cloud, boxes, and pairs of bodies."""
+    solids = [(str(k), Box(np.eye(3), np.array([2.0, k, 0.0]), np.full(3, 0.1))) for k in range(boxes)]
+    cloud = cloud_of(np.random.default_rng(0).normal(size=(points, 3)), 0.0)
+    return Scene(robot, (cloud, fixtures(robot, solids), SelfCollision(pairs)))
+
+
+def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
+    """Another arm: a slide in place of a hinge, other links and one more of the bodies, other pairs."""
+    arm = toy.robot()
+    rows = {name: jnp.concatenate([getattr(arm, name), getattr(arm, name)[-1:]]) for name in ("capsule_p", "capsule_q")}
+    rows |= {
+        "capsule_radius": jnp.append(arm.capsule_radius, 0.1),
+        "on_tool": jnp.zeros((len(arm.capsule_link) + 1, 2)),
+    }
+    links, names = (0, *arm.capsule_link), (*arm.capsule_names, "more")
+    other = replace(arm, **rows, capsule_link=links, capsule_names=names, slides=(True, *arm.slides[1:]))
+    scenes = cell(arm, 20, 1, ((2, 0),)), cell(other, 3000, 3, ((3, 0), (3, 1)))
+    assert all(len({key_of(each, scene=scene) for scene in scenes}) == 1 for each in (ADVANCE, PROVE))
+    assert key_of(ADVANCE, scene=scenes[0]) != key_of(ADVANCE, scene=cell(arm, 5000, 1, ((2, 0),)))
+
+
+def test_padding_changes_no_clearance_and_is_far_from_everything():
+    """Rows of a cloud, solids and pairs, of capsules and pieces; of an arm with a body fewer than in the tables."""
+    plain, where = test_known_rows.scene(), jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), test_known_rows.paths()[0])
+    bodies = len(plain.robot.capsule_link) - 1
+    own = {
+        name: getattr(plain.robot, name)[:bodies] for name in ("capsule_p", "capsule_q", "capsule_radius", "on_tool")
+    }
+    own |= {"capsule_link": plain.robot.capsule_link[:bodies], "capsule_names": plain.robot.capsule_names[:bodies]}
+    robot = replace(plain.robot, **own, pieces=jax.tree.map(lambda leaf: leaf[:bodies], plain.robot.pieces))
+    cloud, solids, pairs = plain.obstacles
+    pairs = SelfCollision(tuple(pair for pair in pairs.pairs if max(pair) < bodies))
+    plain = Scene(robot, (cloud, replace(solids, is_checked=solids.is_checked[:, :bodies]), pairs))
+    padded = plain.for_programs()
+    rows = plain.rows_within(padded)
+
+    def measured(scene: Scene):
+        def at(x):
+            arguments = *scene[:2], where, x
+            return contacts(*arguments), jax.jacfwd(lambda x: clearances(*scene[:2], where, x))(x), is_clear(*arguments)
+
+        return jax.jit(lambda x: jax.lax.map(at, x))(jnp.asarray(test_known_rows.paths()[1][:40]))
+
+    (known, slopes, clear), (found, padded_slopes, padded_clear) = measured(plain), measured(padded)
+    for name in ("distance", "point", "normal", "radius", "plane"):
+        np.testing.assert_allclose(getattr(found, name)[:, rows], getattr(known, name), atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(padded_slopes[:, rows], slopes, atol=1e-9)
+    assert (np.delete(np.asarray(found.distance), rows, axis=1) > FAR_M / 2).all()
+    np.testing.assert_array_equal(clear, padded_clear)
+    assert len(rows) < found.distance.shape[1] and 0 < clear.sum() < 40
+
+
+@pytest.mark.parametrize("joints", [6, 7, 8])
+def test_a_typical_arm_has_the_sizes_that_imported_arms_with_a_torch_have(joints):
+    """As the KR 16-2, UR5e and iiwa 7, with meshes and four bodies of a torch: 15, 12 and 18 bodies."""
+    robot = typical_jobs._arm(joints)
+    scene = Scene(robot, (SelfCollision(typical_jobs._pairs(robot)[: typical_jobs.PAIRS[joints]]),)).for_programs()
+    bodies, pairs = (16, (128, 64, 8)) if joints == 6 else (24, (256, 128, 16))
+    table = scene.obstacles[0].table
+    assert (scene.robot.dof, len(scene.robot.capsule_link)) == (joints, bodies)
+    assert (len(table.first), *table.numbers.shape) == pairs
+    assert scene.robot.pieces.piece.vertices.shape == (bodies, 96, 3)
+    assert scene.robot.pieces.planes.shape == (bodies, 384, 4)
