@@ -24,7 +24,7 @@ from htcp_jax.motion.step_functions import ADVANCE, PROVE
 def cell(robot: Robot, points: int, boxes: int, pairs: tuple[tuple[int, int], ...]) -> Scene:
     """A cloud, boxes, and pairs of bodies."""
     solids = [(str(k), Box(np.eye(3), np.array([2.0, k, 0.0]), np.full(3, 0.1))) for k in range(boxes)]
-    cloud = cloud_of(np.random.default_rng(0).normal(size=(points, 3)), 0.0)
+    cloud = cloud_of(np.random.default_rng(0).normal(size=(points, 3)), 0.001)
     return Scene(robot, (cloud, fixtures(robot, solids), SelfCollision(pairs)))
 
 
@@ -40,7 +40,8 @@ def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
     other = replace(arm, **rows, capsule_link=links, capsule_names=names, slides=(True, *arm.slides[1:]))
     scenes = cell(arm, 20, 1, ((2, 0),)), cell(other, 3000, 3, ((3, 0), (3, 1)))
     assert all(len({key_of(each, scene=scene) for scene in scenes}) == 1 for each in (ADVANCE, PROVE))
-    assert key_of(ADVANCE, scene=scenes[0]) != key_of(ADVANCE, scene=cell(arm, 5000, 1, ((2, 0),)))
+    few, many, more = (key_of(ADVANCE, scene=cell(arm, points, 1, ((2, 0),))) for points in (4096, 4097, 20_000))
+    assert few != many == more
 
 
 def test_padding_changes_no_clearance_and_is_far_from_everything():

@@ -45,18 +45,20 @@ SIZES = 16, TOP  # numbers of clusters at the top of trees on a CPU, so that mos
 AWAY_M = 1e7  # position of clusters without points, which no search opens
 
 
-def build_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
-    """Build the index of a cloud of P >= 1 points [m]. Clusters with too few points repeat one of them."""
-    index = _host_index(points)
+def build_index(points: Float[np.ndarray, "P 3"], least_levels: int = 2) -> CloudIndex:
+    """Build the index of a cloud of P >= 1 points [m], with `least_levels` levels or more.
+
+    Clusters with too few points repeat one of them.
+    """
+    index = _host_index(points, least_levels)
     if backend().is_cpu:
         index = _padded(index, next(size for size in SIZES if size >= index.levels[0].shape[2]))
     return jax.device_put(index)  # in the final types: JAX compiles every conversion
 
 
 @cached_by_values(2)
-def _host_index(points: Float[np.ndarray, "P 3"]) -> CloudIndex:
-    """Return the index as numpy arrays."""
-    depth = 2
+def _host_index(points: Float[np.ndarray, "P 3"], depth: int) -> CloudIndex:
+    """Return the index as numpy arrays, with `depth` levels or more."""
     while len(points) > TOP * FAN**depth:
         depth += 1
     top = -(-len(points) // FAN**depth)

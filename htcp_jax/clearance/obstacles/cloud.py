@@ -25,6 +25,9 @@ from htcp_jax.numerics import axis_contact, capsule_point_distance, product, wit
 from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Bool, Float, Scalar
 
+# On a CPU the tree of more than SMALL points on a mesh has at least 4 levels: up to a million share executables.
+SMALL, MESH_LEVELS = 4096, 4
+
 
 @register_pytree
 @dataclass(frozen=True)
@@ -170,7 +173,9 @@ class Cloud(Obstacle):
 
 def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
     """Return the obstacle of a cloud of points [m]. Their order does not change any distance."""
-    points, index, count = np.asarray(points), build_index(points), len(points)
+    points, count = np.asarray(points), len(points)
+    is_large_mesh = covering_radius_m > 0 and count > SMALL and backend().is_cpu
+    index = build_index(points, MESH_LEVELS if is_large_mesh else 2)
     if backend().is_cpu:  # as many as there are places in the tree's leaves
         points = with_repeated(points, index.rows.size)
     return Cloud(*jax.device_put((points, index, np.asarray(covering_radius_m, float))), count)
