@@ -232,7 +232,7 @@ def collisions(case: Case, errors: ErrorSet, draw: Draw, x: Float[np.ndarray, "n
 
 def _touches_part(arm: MujocoArm, problem: Problem, cloud: Cloud, draw: Draw, ends, axes) -> Bool[np.ndarray, "n"]:
     T = np.asarray(problem.scenarios.T_world_workpiece[0])
-    points = np.asarray(cloud.points) @ T[:3, :3].T + T[:3, 3]
+    points = np.asarray(cloud.points)[: cloud.count] @ T[:3, :3].T + T[:3, 3]
     tree, back = scipy.spatial.cKDTree(points), np.linalg.inv(draw.part)
     ends = np.einsum("nij,nkej->nkei", back[:, :3, :3], ends) + back[:, None, None, :3, 3]
     axes, hit = np.einsum("nij,nkjl->nkil", back[:, :3, :3], axes), np.zeros(len(ends), bool)

@@ -220,9 +220,9 @@ def padded_count(count: int) -> int:
     return next(n for k in counting() for n in (2**k, 3 * 2**k // 2) if n >= count and n != 3) if count else 0
 
 
-def table_size(count: int, least: int = 4) -> int:
-    """Return the smallest of `least`, 4 times that, 16 times that, ... that is not less than `count`."""
-    return next(size for k in counting() if (size := least * 4**k) >= count)
+def table_size(count: float, least: int, factor: int = 2) -> int:
+    """Return the smallest of `least`, `least` * `factor`, `least` * `factor`^2, ... that is not less than `count`."""
+    return next(size for k in counting() if (size := least * factor**k) >= count)
 
 
 def with_repeated(rows: np.ndarray, count: int) -> np.ndarray:

@@ -5,7 +5,7 @@ The slow version with 10,000 draws in each of 20 sets is `python -m benchmarks e
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -16,13 +16,17 @@ import test_prove
 import toy
 import trimesh
 
+import htcp_jax
 from benchmarks import errors as draws
 from htcp_jax.clearance.obstacles import placed_cloud
-from htcp_jax.clearance.proof import error_pairs
+from htcp_jax.clearance.obstacles.cloud import cloud_of
+from htcp_jax.clearance.proof import error_pairs, error_scene
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import load_robot
 from htcp_jax.model import body_pieces, kinematics, make_piece
+from htcp_jax.motion import Problem
+from htcp_jax.numerics import safe_norm
 from htcp_jax.proving import error_scale, error_set, scale_text, scene_of, straight
 from htcp_jax.proving.scaled_errors import ErrorScale, scene_with
 from htcp_jax.proving.stated_errors import read_errors
@@ -122,6 +126,28 @@ def test_a_rod_that_passes_a_ball_by_1_mm_may_be_off_by_1_mm_towards_it(past_the
     assert 0.48 <= lag.scale * towards / 1e-3 <= 0.5 and 0.48 <= margin.scale * towards / 1e-3 <= 0.5
 
 
+@dataclass(frozen=True)
+class Ball(htcp_jax.ObstacleKind):
+    """The ball of the cell, of which only distances are known."""
+
+    centre_m: tuple[float, float, float]
+    radius_m: float
+    name = "ball of errors"
+
+    def distance(self, point):
+        return safe_norm(point - jnp.array(self.centre_m)) - self.radius_m
+
+
+def test_errors_are_proven_next_to_an_obstacle_of_another_package(past_the_ball):
+    scene, curves = past_the_ball
+    known, ball = scene.problem, scene.problem.other_obstacles[0].simple[0]
+    kind = Ball(tuple(np.asarray(ball.p)[0].tolist()), float(ball.radius[0]))
+    own = Problem.of(known.robot, known.workpiece, known.scenarios, known.settings, known.task, [kind])
+    errors = read_errors({"joints_rad": [0.0, 1e-3, 0.0]})
+    exact, found = (error_scale(each, curves, error_set(each, scene.job, errors)) for each in (known, own))
+    assert 0.25 * exact.scale < found.scale <= exact.scale * (1 + 1e-6)
+
+
 def test_a_motion_in_contact_has_the_scale_0_and_one_far_from_everything_the_largest(past_the_ball):
     scene, _ = past_the_ball
     errors = error_set(scene.problem, scene.job, read_errors({"joints_rad": [1e-6, 1e-6, 0.0]}))
@@ -193,6 +219,12 @@ def test_bad_errors_are_refused_with_one_line(past_the_ball, stated, words):
     with pytest.raises(InputError, match=words) as caught:
         error_set(scene.problem, scene.job, read_errors(stated))
     assert "\n" not in str(caught.value)
+
+
+def test_a_clouds_padding_is_no_point_of_its_errors():
+    cloud = cloud_of(np.random.default_rng(0).normal(size=(5000, 3)), 0.001)
+    points = error_scene.Points.of(cloud, np.eye(4), np.ones(1, bool), of_part=True)
+    assert len(points.points) == cloud.count == 5000 < len(cloud.points)
 
 
 def test_an_end_in_front_of_the_interior_may_be_displaced_up_to_the_interior_or_within_the_hull():

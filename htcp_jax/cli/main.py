@@ -44,7 +44,7 @@ COMMANDS = {
     "gate": "Compare a sweep with a baseline (regression test).",
     "methods": "List the planning methods.",
     "example": "List the examples, or copy one to a folder.",
-    "prepare": "Compile what the first plan of most jobs waits for.",
+    "prepare": "Compile what the first plan of many jobs waits for.",
     "doctor": "Check the installation with a self-test of 2 s.",
 }
 

@@ -1,4 +1,4 @@
-"""`htcp prepare`: compile what the first plans of most jobs wait for."""
+"""`htcp prepare`: compile what the first plans of many jobs wait for."""
 
 import time
 import warnings
@@ -9,11 +9,12 @@ from htcp_jax.system import temporary_folder
 
 
 def prepare(device: Device = None) -> int:
-    """Compile what the first plan of most jobs would wait for, once for this machine.
+    """Compile what the first plan of many jobs would wait for, once for this machine.
 
-    For arms with six to eight joints and convex pieces of their meshes, a part from a mesh, a floor and a table, and a
-    direction or a cone of the tool. Other jobs compile what they need at their first plan. Takes two minutes on two
-    cores; again, or after an interruption, only what is missing. Writes only to the compile cache.
+    For arms with six to eight joints and convex pieces of their meshes, a part from a mesh, planes and boxes, and a
+    direction or a cone of the tool; docs/installation.md has their sizes. Other jobs compile what they need at their
+    first plan. Takes two minutes on two cores; again, or after an interruption, only what is missing. Writes only to
+    the compile cache.
 
     Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
 

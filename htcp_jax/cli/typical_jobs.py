@@ -1,4 +1,4 @@
-"""Small jobs whose executables serve most users' jobs: what `htcp prepare` plans.
+"""Small jobs whose executables serve many users' jobs: what `htcp prepare` plans.
 
 An executable depends on the number of joints and on the sizes of arrays, which are padded to few sizes, see
 `Scene.for_programs`. A typical job has the sizes of a usual one: an arm from a file with meshes, with a torch; a part

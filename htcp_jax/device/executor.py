@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -204,8 +204,8 @@ class Executor:
         threads: int = 1,
     ):
         self.device = device or default_device()
-        self._robot, own, self._settings = scene.robot, scene.for_programs(), settings
-        self._scene, self._rows_of = jax.device_put(own, self.device), partial(scene.rows_within, own)
+        self._given, self._settings = scene, settings
+        self._scene = jax.device_put(scene.for_programs(), self.device)
         self._for_either = self._scene._replace(task=self._scene.task.for_either)
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None
@@ -235,22 +235,22 @@ class Executor:
     @property
     def freedom(self) -> int:
         """Dimension of the task's null space."""
-        return self.task.freedom(self._robot)
+        return self.task.freedom(self._given.robot)
 
     @cached_property
     def rows(self) -> Int[np.ndarray, "R"]:
         """Indices of the scene's rows of clearance in the tables of lane functions, which have padding between them."""
-        return self._rows_of()
+        return self._given.rows_within(self._scene)
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper joint limits [rad or m]."""
-        return np.asarray(self._robot.lower), np.asarray(self._robot.upper)
+        return np.asarray(self._given.robot.lower), np.asarray(self._given.robot.upper)
 
     @property
     def tip_bounds(self) -> kinematics.TipBounds:
         """Bounds on the motion of the arm's bare tip."""
-        return kinematics.tip_bounds(self._robot)
+        return kinematics.tip_bounds(self._given.robot)
 
     @property
     def sizes(self) -> tuple[int, int]:

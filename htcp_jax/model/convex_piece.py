@@ -4,17 +4,17 @@ A mesh is cut by planes, and a capsule is fitted to each part. The convex hull o
 bounds the same triangles more closely.
 """
 
-from itertools import count as counting
 from itertools import product as combinations
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from htcp_jax.numerics import with_repeated
+from htcp_jax.numerics import table_size, with_repeated
 from htcp_jax.types import Anywhere, Float, Int
 
 FLAT = 1e-7  # points this close to a plane or a line, relative to their extent, lie on it
+LEAST = 6  # least number of vertices of a stack
 SHARES = 1, 2, 3, 3  # rows of vertices, normals, edges and sides of a stack, relative to each other
 SHARP = 0.9  # no plane is added at an edge or a corner if the cosine of the angle between its normals is larger
 
@@ -72,23 +72,16 @@ def make_piece(points: Float[np.ndarray, "P 3"], radius: float = 0.0) -> ConvexP
 def stack_pieces(pieces: list[ConvexPiece]) -> ConvexPiece:
     """Stack pieces, each padded to the size of the largest one."""
     columns = list(zip(*(piece[:4] for piece in pieces), strict=True))
-    size = max(max(map(len, column)) / share for column, share in zip(columns, SHARES, strict=True))
-    padded = [
-        [with_repeated(rows, padded_size(size) * share) for rows in column]
-        for column, share in zip(columns, SHARES, strict=True)
-    ]
+    shared = list(zip(columns, SHARES, strict=True))
+    size = table_size(max(max(map(len, column)) / share for column, share in shared), LEAST)
+    padded = [[with_repeated(rows, size * share) for rows in column] for column, share in shared]
     return ConvexPiece(*map(np.stack, padded), np.stack([piece.radius for piece in pieces]))
-
-
-def padded_size(size: float) -> int:
-    """Return the smallest of 6, 12, 24, ... that is not less than `size`: few sizes, so that arms share executables."""
-    return next(6 * 2**k for k in counting() if 6 * 2**k >= size)
 
 
 def body_pieces(pieces: list[ConvexPiece], excess_m: Float[np.ndarray, "K"]) -> BodyPieces:
     """Stack the pieces of K bodies and compute the planes that enclose each piece."""
     planes = [_enclosing_planes(piece) for piece in pieces]
-    most = 4 * padded_size(max(map(len, planes)) / 4)
+    most = table_size(max(map(len, planes)), 4 * LEAST)
     return BodyPieces(stack_pieces(pieces), np.stack([with_repeated(each, most) for each in planes]), excess_m)
 
 

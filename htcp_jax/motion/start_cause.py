@@ -225,20 +225,15 @@ class _Measured:
     @classmethod
     def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
         """Return the distances at configurations of one scenario."""
-        executor = problem.checkers[0].executor
-        found = executor(MEASURE, problem.inputs(np.full(len(x), s), 0), x)
-        return cls(
-            problem, s, x, *(table[:, executor.rows] for table in found), partial(robots.lengthen_tool, problem.robot)
-        )
+        found = _measured_rows(problem, np.full(len(x), s), x)
+        return cls(problem, s, x, *found, partial(robots.lengthen_tool, problem.robot))
 
     @classmethod
     def each(cls, problem: Problem, scenarios: Sequence[int], x: Float[np.ndarray, "n N"]) -> "list[_Measured]":
         """Return the distances at one configuration of each scenario, measured in one call."""
         if not len(x):
             return []
-        executor = problem.checkers[0].executor
-        found = executor(MEASURE, problem.inputs(np.array(scenarios), 0), x)
-        found = [table[:, executor.rows] for table in found]
+        found = _measured_rows(problem, np.array(scenarios), x)
         longer = cache(partial(robots.lengthen_tool, problem.robot))
         return [cls(problem, s, *(table[k : k + 1] for table in (x, *found)), longer) for k, s in enumerate(scenarios)]
 
@@ -321,6 +316,14 @@ def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause
             body, other = (robot.capsule_names[k] for k in (found.first, found.second))
             return StartCause(found.reason, body, robots.capsule_label(robot, other), found.depth_m)
     return None
+
+
+def _measured_rows(
+    problem: Problem, scenarios: Int[np.ndarray, "n"], x: Float[np.ndarray, "n N"]
+) -> list[Float[np.ndarray, "n R ..."]]:
+    """Return the results of `_row_distances` at a configuration of each given scenario, without rows of padding."""
+    executor = problem.checkers[0].executor
+    return [table[:, executor.rows] for table in executor(MEASURE, problem.inputs(scenarios, 0), x)]
 
 
 def _row_distances(settings, scene: Scene, where, x):

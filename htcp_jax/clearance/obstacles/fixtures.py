@@ -158,7 +158,7 @@ class _Row(NamedTuple):
 def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
     """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code."""
     rows = [_Row(*each) for each in named]
-    return rows + [_Row("", rows[-1].solid, False)] * (table_size(len(rows)) - len(rows)) if rows else []
+    return rows + [_Row("", rows[-1].solid, False)] * (table_size(len(rows), 4, 4) - len(rows)) if rows else []
 
 
 def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:

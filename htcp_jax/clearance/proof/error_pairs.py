@@ -31,9 +31,9 @@ from htcp_jax.clearance.proof.error_bound import (
     piece_radius,
     scales,
 )
-from htcp_jax.clearance.proof.error_scene import ErrorScene, Points, Solid, normals_between, padded_count, placed
+from htcp_jax.clearance.proof.error_scene import PLACES, ErrorScene, Points, Solid, normals_between, placed
 from htcp_jax.model import Robot, surface
-from htcp_jax.numerics import ragged_rows
+from htcp_jax.numerics import ragged_rows, table_size
 
 BALLS = 64  # maximum number of balls that cover a body for the search among points
 NUMBERS = 1 << 21  # entries of the largest table of a bound; more pairs are bounded in portions
@@ -234,10 +234,10 @@ class _Here:
     def by_distance(self, number: int, own: Obstacle) -> Limits:
         """Return the limits by an obstacle of which only distances are known."""
         rows, count = own.rows(self.scene.robot), len(self.at.x)
-        most = padded_count(count)
+        most = table_size(count, PLACES)
         x = jnp.asarray(np.resize(self.at.x, (most, self.at.x.shape[1])))
         free = np.asarray(_free_radii(own, self.scene.robot, self.scene.where, x))[:count]
-        bodies, others = np.array(rows.body), np.array(rows.other)
+        bodies, others = np.array(rows.body), np.array(rows.others)
         place, row = np.nonzero(free <= 2 * self.moves.max())
         corners = _boxes(self.ends[place, bodies[row]], piece_radius(self.scene.robot)[bodies[row]])
         normal, radius = np.broadcast_to(UNKNOWN, (len(place), 3)), np.zeros(len(place))

@@ -19,8 +19,10 @@ from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Obstacle
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud
 from htcp_jax.clearance.proof.error_bound import ErrorSet, Places, largest_moves, levers_of
 from htcp_jax.model import Robot, kinematics
+from htcp_jax.numerics import table_size
 
 CLUSTER = 32  # maximum number of points in a cluster
+PLACES = 64  # smallest number of places that are measured together
 ROWS = 256  # smallest number of pairs whose normals are computed together
 
 
@@ -77,7 +79,7 @@ class ErrorScene:
     def places(self, x, rates, turns, rest) -> Places:
         """Return intervals with their links' frames, see `Places`."""
         count = len(x)
-        most = padded_count(count)
+        most = table_size(count, PLACES)
         T = np.asarray(_link_poses(self.robot, jnp.asarray(np.resize(x, (most, x.shape[1])))))[:count]
         root = np.broadcast_to(np.eye(4), (count, 1, 4, 4))
         return Places(x, rates, turns, rest, np.concatenate([T, root], axis=1))
@@ -98,7 +100,7 @@ class Points(NamedTuple):
     @classmethod
     def of(cls, cloud: Cloud, T: Float[np.ndarray, "4 4"], is_checked: Bool[np.ndarray, "K"], of_part: bool):
         """Return the points of a cloud at a pose [m]."""
-        points = np.asarray(cloud.points) @ T[:3, :3].T + T[:3, 3]
+        points = np.asarray(cloud.points)[: cloud.count] @ T[:3, :3].T + T[:3, 3]
         parts = _split(points, np.arange(len(points)))
         middle = np.array([0.5 * (points[rows].min(axis=0) + points[rows].max(axis=0)) for rows in parts])
         radius = [np.linalg.norm(points[rows] - own, axis=1).max() for rows, own in zip(parts, middle, strict=True)]
@@ -180,16 +182,11 @@ def normals_between(bodies: Float[np.ndarray, "P V 3"], others: Float[np.ndarray
         others: Corners of the features [m].
     """
     count = len(bodies)
-    most = padded_count(count, ROWS)
+    most = table_size(count, ROWS)
     padded = (jnp.asarray(np.resize(each, (most, *each.shape[1:]))) for each in (bodies, others))
     normal = np.asarray(_normals(*padded))[:count]
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return np.where(length > 0.5, normal / np.maximum(length, 0.5), np.array([0.0, 0.0, 1.0]))
-
-
-def padded_count(count: int, least: int = 64) -> int:
-    """Return the smallest `least` times a power of 2 that is not less than `count`, for few compiled sizes."""
-    return least * 2 ** max(0, int(np.ceil(np.log2(max(1, count) / least))))
 
 
 @jax.jit

@@ -23,7 +23,7 @@ from htcp_jax.solvers import sphere
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Scalar
 
 READS = ("alpha_rad", "include_proximal_bodies", "j1_weight", "q_weights")  # settings read by every null-space step
-FAR_M = 10.0
+BEYOND_M = 10.0  # distance that is never the smallest
 DRAWS, PUSHED, PUSHES = 256, 6, 60  # numbers in `draw_clear`: draws, draws pushed clear, null-space steps per push
 
 
@@ -82,12 +82,12 @@ def sphere_problem(
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
     unseen = ~jnp.asarray(seen_rows(scene, settings.include_proximal_bodies))
     # Rows that J2 does not include, and those of bodies that are not tested, get a distance that is never the smallest.
-    far = jnp.where(unseen, FAR_M, 0.0)
+    far = jnp.where(unseen, BEYOND_M, 0.0)
 
     def observe(w):
         x = x_ref + product(step_basis, w)
         touch = contacts(robot, obstacles, where, x)
-        distance = jnp.minimum(touch.distance, FAR_M) + far
+        distance = jnp.minimum(touch.distance, BEYOND_M) + far
         return distance - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
 
     def measure(w):
@@ -99,7 +99,7 @@ def sphere_problem(
     def predicted(w, held):
         value, gradient = predict_distances(robot, x_ref + product(step_basis, w), rows, held)
         rounds = value.shape[0] // far.shape[0]
-        value = jnp.minimum(value, FAR_M) + jnp.concatenate([far] * rounds) - product(w, product(half, w))
+        value = jnp.minimum(value, BEYOND_M) + jnp.concatenate([far] * rounds) - product(w, product(half, w))
         return value, product(gradient, step_basis) - 2 * product(half, w)[None, :]
 
     G = jnp.concatenate([step_basis, -step_basis])
