@@ -120,7 +120,7 @@ class SelfCollision(Obstacle):
 
     def for_programs(self, robot: Robot, bodies: int) -> "SelfCollision":
         """Return the obstacle with its pairs as data."""
-        return SelfCollision((), table=self.table_of(robot).padded())
+        return SelfCollision((), table=self.table_of(robot).padded(bodies))
 
     def table_of(self, robot: Robot) -> "PairTable":
         """Return the pairs and the rows as arrays."""
@@ -148,11 +148,13 @@ class PairTable(NamedTuple):
         best = jnp.argmin(distance[numbers], axis=1)
         return jnp.take_along_axis(numbers, best[:, None], axis=1)[:, 0]
 
-    def padded(self) -> "PairTable":
-        """Return the table with one of few sizes."""
+    def padded(self, bodies: int) -> "PairTable":
+        """Return the table with one of few sizes, which are at least those of usual arms with this many bodies."""
         pairs, rows = len(self.first), len(self.body)
         sizes = next(
-            each for each in _sizes() if all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
+            each
+            for k, each in enumerate(_sizes(), 1)
+            if 8 * k >= min(bodies, 24) and all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
         )
         numbers = with_repeated(with_repeated(self.numbers, sizes[1]).T, sizes[2]).T
         of_pairs, of_rows = (
