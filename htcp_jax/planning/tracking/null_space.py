@@ -13,8 +13,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearances, contacts, minimum_clearance
-from htcp_jax.clearance.obstacles import ContactModel, hold_contacts, predict_distances
-from htcp_jax.clearance.obstacles.obstacle import Contacts
+from htcp_jax.clearance.obstacles import ContactModel, Contacts, hold_contacts, predict_distances
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics, reanchor
 from htcp_jax.motion import lane_inputs, step_functions
