@@ -180,7 +180,8 @@ def _draw_scene(
         _set_limits(axes, view.flat(wall.cloud) if column else None, others.floor_m)
         _draw_triad(axes, view)
         azimuth = round(np.degrees(np.arctan2(view.near[1], view.near[0])))
-        _heading(axes, f"{heading}, seen from azimuth {azimuth}°{', ' * bool(at.cut)}{at.cut_text}")
+        cut = f",\n{at.cut_text}" if at.cut else ""  # one line would be wider than the panel
+        _heading(axes, f"{heading}, seen from azimuth {azimuth}°{cut}")
         drawn.append((view, T))
     return drawn
 
