@@ -159,5 +159,7 @@ def _errors(settings: Settings, scene: Scene, where: Placement, x, goal):
     return *task.errors(robot, x, goal), task.slack(task.value(robot, x), goal)
 
 
-MEASURE = lane_function.LaneFunction("measure_rows", measure_rows, lane_function.STEP, any_cone=True)
+MEASURE = lane_function.LaneFunction(
+    "measure_rows", measure_rows, lane_function.STEP, any_cone=True, compiles_quickly=True
+)
 ERRORS = lane_function.LaneFunction("task_errors", _errors, lane_function.STEP, any_cone=True)
