@@ -30,7 +30,7 @@ from htcp_jax.caching import cache_folder
 from htcp_jax.jobs.grid import Batch, load_sweep
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning.batch import plan
-from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, inputs_and_tubes
+from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
 from htcp_jax.status import SegmentStatus
 
 GRID_RAD = 0.06  # width of a grid cell, which keeps one vertex
@@ -128,7 +128,7 @@ class Ladder:
                 break
             begin, end = vertices[nearest[row, k]], x[row]
             inputs = self._problem.inputs(self._scenario, target, len(row))
-            moved = self._checker.executor(MOVE_TOWARDS, inputs, begin, end)
+            moved = self._checker.executor(SELF_MOTION, inputs, begin, end, np.zeros(len(row), np.int32))
             arrived = np.flatnonzero(moved.arrives)
             steps = moved.steps[arrived]
             places = np.concatenate([begin[:, None], moved.path.x, end[:, None]], axis=1)[arrived]

@@ -21,10 +21,11 @@ from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.manipulability import manipulability
 from htcp_jax.motion.step_functions import ADVANCE, SETTLE, TASK_ROWS
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION
+from htcp_jax.planning.tracking.stages import PUSH
 
 COUNT, SHARED = 24, ExecutableCache()
 HALF_ANGLES = {"a cone": 0.06, "no cone": 0.0}
-FUNCTIONS = SETTLE, EXTEND, SELF_MOTION
+FUNCTIONS = SETTLE, EXTEND, SELF_MOTION, PUSH
 
 
 def task(kind: str) -> Task:
@@ -44,7 +45,8 @@ def calls(kind: str) -> dict:
         ADVANCE: (inputs, near, np.zeros_like(near)),
         SETTLE: (inputs, near),
         EXTEND: (inputs, near),
-        SELF_MOTION: (inputs, there, number),
+        SELF_MOTION: (inputs, there, np.full_like(there, np.nan), number),
+        PUSH: (inputs, near),
     }
 
 

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from htcp_jax.caching import cache_folder, cache_key
 from htcp_jax.cli import main, self_test
 from htcp_jax.cli.main import app
 from htcp_jax.cli.methods import complete_methods
@@ -97,14 +98,23 @@ def test_the_doctor_tells_what_is_there(capsys, opengl, tmp_path):
     try:
         found = json_of(capsys, ["doctor"])
         assert main(["doctor"]) == 0
+        shown = capsys.readouterr().out
+        cache_folder.write(cache_key.preparation_key(jax.devices()[0]), b"")
+        assert json_of(capsys, ["doctor"])["cache"]["prepared"]
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
     assert found["sound"] and found["versions"]["jax"] == jax.__version__ and found["dtype"] == "float64"
     assert found["cores"]["usable"] >= 1 and found["devices"]
     assert found["rendering"] == {"platform": "osmesa", "lacks": None}
-    assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5}
-    shown = capsys.readouterr().out
-    assert str(tmp_path) in shown and "from the known result" in shown and shown.endswith("sound\n")
+    assert found["cache"] == {"folder": str(tmp_path), "files": 1, "bytes": 5, "prepared": False}
+    assert str(tmp_path) in shown and "htcp prepare compiles" in shown
+    assert "from the known result" in shown and shown.endswith("sound\n")
+
+
+def test_nothing_is_prepared_without_a_cache(capsys, monkeypatch):
+    monkeypatch.setenv("HTCP_CACHE", "off")
+    assert main(["prepare"]) == 2
+    assert "set HTCP_CACHE to a folder" in capsys.readouterr().err
 
 
 def test_a_machine_that_cannot_draw_is_sound_and_told_what_it_lacks(capsys, opengl):

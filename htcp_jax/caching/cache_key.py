@@ -92,6 +92,14 @@ def result_key(function: FunctionType, about: tuple) -> str | None:
         return None
 
 
+def preparation_key(device: jax.Device) -> str | None:
+    """Return the name of a note that `htcp prepare` has compiled for the device; None if the source is unknown."""
+    try:
+        return _name("prepared", (_machine(device, {}), _source()))
+    except UnknownSource:
+        return None
+
+
 def _name(function: str, about: tuple) -> str:
     digest = hashlib.blake2b(repr(about).encode(), digest_size=24)
     return f"{re.sub('[^a-z0-9_]', '-', function)}-{digest.hexdigest()}"

@@ -34,6 +34,7 @@ def _print_verdict(found: dict) -> None:
     kept = "no cache; every start compiles again"
     if cache is not None:
         kept = f"{cache['folder']}, {cache['files']:,} files, {cache['bytes'] / 1e6:.1f} MB"
+    prepared = "yes" if cache and cache["prepared"] else "no; htcp prepare compiles what first plans wait for"
     facts = {
         "python": f"{found['python']} on {found['system']}",
         "versions": versions,
@@ -42,6 +43,7 @@ def _print_verdict(found: dict) -> None:
         "numbers": found["dtype"],
         "rendering": found["rendering"]["platform"] or found["rendering"]["lacks"],
         "compiled programs": kept,
+        "prepared": prepared,
         "self-test": f"{test['description']}; {test['seconds']:.1f} s, {test['compile_s']:.1f} s of them compiling",
     }
     print_facts("htcp doctor", facts)

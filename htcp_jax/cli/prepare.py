@@ -5,6 +5,7 @@ import warnings
 
 from htcp_jax.cli.output import Device, claim_device, progress_text, stdout
 from htcp_jax.device import COMPILATIONS
+from htcp_jax.errors import InputError
 from htcp_jax.system import temporary_folder
 
 
@@ -25,14 +26,18 @@ def prepare(device: Device = None) -> int:
     claim_device(device)
     began = time.perf_counter()
     with progress_text("arms with 6, 7 and 8 joints"), temporary_folder() as folder:
-        from htcp_jax.caching import cache_folder
+        from htcp_jax.caching import cache_folder, cache_key
         from htcp_jax.cli.typical_jobs import typical_plans
+        from htcp_jax.device import devices
 
-        cache_folder.enable()
+        if cache_folder.enable() is None:
+            raise InputError("there is no cache folder to compile for: set HTCP_CACHE to a folder, or unset it")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about the typical jobs, which are not the user's
             for plan in typical_plans(folder, device):
                 plan.write(folder)
+        if key := cache_key.preparation_key(devices.choose(device)[0]):
+            cache_folder.write(key, b"")
     seconds = time.perf_counter() - began
     stdout().print(f"ready for arms with 6, 7 and 8 joints: {COMPILATIONS.done} programs compiled in {seconds:.0f} s")
     return 0

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from htcp_jax.caching import cache_folder
+from htcp_jax.caching import cache_folder, cache_key
 from htcp_jax.errors import InputError
 from htcp_jax.io import parts, robots
 from htcp_jax.model import make_scenario
@@ -85,4 +85,6 @@ def _usable_cores() -> int | None:
 
 def _contents(folder: Path) -> dict[str, Any]:
     sizes = [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
-    return {"folder": str(folder), "files": len(sizes), "bytes": sum(sizes)}
+    key = cache_key.preparation_key(jax.devices()[0])
+    prepared = key is not None and cache_folder.read(key) is not None
+    return {"folder": str(folder), "files": len(sizes), "bytes": sum(sizes), "prepared": prepared}

@@ -24,7 +24,8 @@ from htcp_jax.pytree import LABEL, STRUCTURE, register_pytree
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Scalar, Triple
 
 FAR_M = 1e6  # distance between bodies that are not tested against each other
-BODIES = 8  # programs are compiled for a multiple of this number of bodies
+BODIES = 8  # programs are compiled for a multiple of this number of bodies,
+MORE_BODIES = 24  # and for at least this number for an arm with more than six joints and more than BODIES bodies
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
@@ -225,6 +226,7 @@ def for_programs(robot: Robot) -> Robot:
     """
     bodies = len(robot.capsule_link)
     count = -(-bodies // BODIES) * BODIES
+    count = max(count, MORE_BODIES) if robot.dof > 6 and bodies > BODIES else count
     is_body = np.arange(count) < bodies
     taken = np.where(is_body, np.arange(count), 0)
     p, q, radius, on_tool = (

@@ -76,14 +76,14 @@ def plan(problem: Problem, method: str | Method = "beam", progress: Callable[[Pr
 
 def _planned_places(method: Method, problem: Problem) -> Plans:
     """Return the plans of a problem without repeated targets; their times are those of `Execution.warm_up`."""
-    calls = method.warm_up(problem).first if len(problem.to_plan) else ()
+    calls = _warm_up_calls(problem) or (method.warm_up(problem).first if len(problem.to_plan) else ())
     with _compiling(problem, calls) as compilations:
         if problem.check_starts:
             start_cause.check_starts(problem, compilations)
         problem, from_home = leave_home(problem)
         if problem.check_starts:
             start_cause.refuse_standing_overlaps(problem)
-        compile_s, cpu_s = _warm_up(problem)  # now it is known whether any scenario has a start
+        compile_s, cpu_s = _wait_until_compiled(problem, compilations) if problem.execution.warm_up else (0.0, 0.0)
         plans = inserted_goals.planned(partial(_planned_rows, method, from_home), problem)
         return plans._replace(compile_s=plans.compile_s + compile_s, cpu_s=cpu_s)
 
@@ -123,17 +123,21 @@ def _compiling(problem: Problem, calls: Sequence[tuple]) -> Iterator[list[Future
         yield [compilation for own in begun for compilation in own]
 
 
-def _warm_up(problem: Problem) -> tuple[float, float]:
-    """Compile the executables of `Execution.warm_up` on all cores; return the wall and processor time it takes [s]."""
-    if not (problem.execution.warm_up and len(problem.to_plan)):
-        return 0.0, 0.0
-    began, began_cpu = time.perf_counter(), time.process_time()
-    found = [methods.find(name).warm_up(problem) for name in problem.execution.warm_up]
+def _warm_up_calls(problem: Problem) -> list[tuple]:
+    """Return one call of each lane function of the methods in `Execution.warm_up`; those for hard targets first."""
+    found = [methods.find(name).warm_up(problem) for name in problem.execution.warm_up if len(problem.to_plan)]
     calls = {call[0]: call for each in found for call in each.hard}
-    calls |= {call[0]: call for each in found for call in each.first}
-    with _compiling(problem, list(calls.values())) as compilations:
-        while wait(compilations, REPORT_S).not_done:
-            problem.progress(0, 0)
+    return list((calls | {call[0]: call for each in found for call in each.first}).values())
+
+
+def _wait_until_compiled(problem: Problem, compilations: Sequence[Future]) -> tuple[float, float]:
+    """Wait for compilations, unless no scenario has a start; return the wall and processor time it takes [s]."""
+    began, began_cpu = time.perf_counter(), time.process_time()
+    if not len(problem.to_plan):
+        for each in compilations:
+            each.cancel()
+    while wait(compilations, REPORT_S).not_done:
+        problem.progress(0, 0)
     return time.perf_counter() - began, time.process_time() - began_cpu
 
 
@@ -156,7 +160,8 @@ def _spread(problem: Problem, method: Method, shared: bytes, progress: Callable 
     """Return plans from other processes; `compile_s` is the time to start these plus their mean compilation time."""
     scenarios, on_cpu, warm_up_s = problem.scenarios, problem.devices[0].platform == "cpu", 0.0
     if on_cpu and cache_folder.folder():  # the other processes load what this one stores
-        warm_up_s, _ = _warm_up(problem)
+        with _compiling(problem, _warm_up_calls(problem)) as compilations:
+            warm_up_s, _ = _wait_until_compiled(problem, compilations)
     began, began_cpu, count, workers = time.perf_counter(), time.process_time(), len(scenarios.number), problem.workers
     # a GPU is faster with one large part
     rows = worker_processes.shares(count, len(workers), worker_processes.MOST_TOGETHER if on_cpu else count)

@@ -130,7 +130,8 @@ def _beginnings(
     number = np.arange(problem.settings.self_motions, dtype=np.int32)
     zero = np.zeros(len(number), int)
     inputs, _ = inputs_and_tubes(problem, zero, zero + target - 1, zero, True)
-    moved = checker.executor(SELF_MOTION, inputs, np.repeat(x_last[None], len(number), axis=0), number)
+    x = np.repeat(x_last[None], len(number), axis=0)
+    moved = checker.executor(SELF_MOTION, inputs, x, np.full_like(x, np.nan), number)
     return np.concatenate([x_last[None], moved.path.x[np.arange(moved.path.x.shape[1]) < moved.steps[:, None]]])
 
 

@@ -2,7 +2,7 @@ from . import self_exclusions
 from .contact_model import ContactModel, hold_contacts, predict_distances
 from .given_obstacle import given_obstacles, with_given
 from .linearisation import Linearisation, TaskRows, linearise
-from .obstacle import grouped
+from .obstacle import Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 from .of_workpiece import all_obstacles
@@ -11,6 +11,7 @@ from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
 __all__ = [
     "ContactModel",
+    "Contacts",
     "Linearisation",
     "NearWalls",
     "PlacedCloud",

@@ -6,6 +6,7 @@ many pairs, contacts are computed only for the nearest pair of each row, distanc
 Pairs that need no check are excluded, see self_exclusions.py.
 """
 
+import dataclasses
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from htcp_jax.caching import cached_by_values
 from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
 from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import BodyAxes, Contacts, HasWorkpiecePose, Obstacle, RowPairs
@@ -126,7 +128,7 @@ class SelfCollision(Obstacle):
 
     def for_programs(self, robot: Robot, bodies: int) -> "SelfCollision":
         """Return the obstacle with its pairs as data."""
-        return SelfCollision((), table=self.table_of(robot).padded())
+        return SelfCollision((), table=self.table_of(robot).padded(bodies))
 
     def table_of(self, robot: Robot) -> "PairTable":
         """Return the pairs and the rows as arrays."""
@@ -163,11 +165,13 @@ class PairTable(NamedTuple):
             is_row=np.ones(len(self.body), bool) if self.is_row is None else self.is_row,
         )
 
-    def padded(self) -> "PairTable":
-        """Return the table with one of few sizes."""
+    def padded(self, bodies: int) -> "PairTable":
+        """Return the table with one of few sizes, which are at least those of usual arms with this many bodies."""
         pairs, rows = len(self.first), len(self.body)
         sizes = next(
-            each for each in _sizes() if all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
+            each
+            for k, each in enumerate(_sizes(), 1)
+            if 8 * k >= min(bodies, 24) and all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
         )
         numbers = with_repeated(with_repeated(self.numbers, sizes[1]).T, sizes[2]).T
         of_pairs, of_rows = (
@@ -201,7 +205,7 @@ def make_self_collision(robot: Robot) -> SelfCollision | None:
     Raises:
         InputError: If the model excludes every pair.
     """
-    excluded = (*robot.exclusions, *_found(_Hashable(robot)))
+    excluded = (*robot.exclusions, *_found(_without_meshes(robot)))
     ours = {(each.first, each.second) for each in excluded}
     known = candidates(robot)
     pairs = tuple(sorted(pair for pair in known if pair not in ours))
@@ -243,7 +247,7 @@ def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) ->
         return None
     numbers = tuple((each.first, each.second) for each in pairs)
     depth = -distances(robot, numbers, x[None])[0]
-    for each, d, usual in zip(pairs, depth, _usual_depths(_Hashable(robot), numbers), strict=True):
+    for each, d, usual in zip(pairs, depth, _usual_depths(_without_meshes(robot), numbers), strict=True):
         pair = f"the capsules {names[each.first]} and {names[each.second]}"
         if each.rule == "c" and robot.meshes and d > 0:
             touch_m = robot.meshes.deepest_m(names[each.first], names[each.second], x)
@@ -256,34 +260,20 @@ def refused_pair(own: SelfCollision, robot: Robot, x: Float[np.ndarray, "N"]) ->
     return None
 
 
-class _Hashable:
-    """A robot as a key of a cache, equal to any robot with the same values.
-
-    The values are on the host, so that the cache does not occupy device memory.
-    """
-
-    def __init__(self, robot: Robot):
-        self.robot = jax.tree.map(np.asarray, robot)
-        leaves, structure = jax.tree.flatten(self.robot)
-        self._key = structure, tuple(leaf.tobytes() for leaf in leaves)
-
-    def __eq__(self, other: "_Hashable") -> bool:
-        return self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
+def _without_meshes(robot: Robot) -> Robot:
+    """Return the robot as a key of a cache: with its arrays on the host, and without the vendor's meshes."""
+    return jax.device_get(dataclasses.replace(robot, meshes=None))
 
 
-@lru_cache(maxsize=256)
-def _found(arm: _Hashable) -> tuple[robots.Exclusion, ...]:
-    return find_exclusions(jax.device_put(arm.robot))
+@cached_by_values(256)
+def _found(robot: Robot) -> tuple[robots.Exclusion, ...]:
+    return find_exclusions(jax.device_put(robot))
 
 
-@lru_cache(maxsize=256)
-def _usual_depths(arm: _Hashable, pairs: Pairs) -> Float[np.ndarray, "R"]:
+@cached_by_values(256)
+def _usual_depths(robot: Robot, pairs: Pairs) -> Float[np.ndarray, "R"]:
     """Return the overlap of each pair that only a share 1 - USUAL of the `samples` exceeds [m]."""
-    robot = jax.device_put(arm.robot)
-    return np.quantile(-distances(robot, pairs, samples(robot)), USUAL, axis=0)
+    return np.quantile(-distances(jax.device_put(robot), pairs, samples(robot)), USUAL, axis=0)
 
 
 class _MeasuredPairs(NamedTuple):

@@ -37,7 +37,7 @@ from htcp_jax.motion import (
     transfers,
 )
 from htcp_jax.planning.beam.dead_ends import DeadEnds
-from htcp_jax.planning.beam.functions import EXTEND, MOVE_TOWARDS, SELF_MOTION, Extension, inputs_and_tubes
+from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, Extension, inputs_and_tubes
 from htcp_jax.planning.beam.record import BeamRecord, ViaPointRow
 from htcp_jax.planning.beam.searches import NONE, Members, Searches
 from htcp_jax.planning.beam.tree import BeamTree, JointSteps
@@ -70,8 +70,8 @@ class BeamSearchMethod(Method):
         smooths = [] if problem.settings.smooth is False else [(step_functions.SETTLE, moving, x)]
         if not problem.checkers[0].executor.freedom:
             return WarmUp([*first, *smooths])
-        self_motion = SELF_MOTION, moving, x, zero.astype(np.int32)
-        return WarmUp([*first, self_motion, *smooths], [(PUSH, inputs, x), (MOVE_TOWARDS, moving, x, x)])
+        self_motion = SELF_MOTION, moving, x, x, zero.astype(np.int32)
+        return WarmUp([*first, self_motion, *smooths], [(PUSH, inputs, x)])
 
     def plan(self, problem: Problem) -> Plans:
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
@@ -237,7 +237,7 @@ class BeamSearch:
         target, x = self._tree.target[origins.node], self._tree.x[origins.node]
         inputs, tube = inputs_and_tubes(self._problem, scenario, target, draws, True)
         lanes = self._problem.with_still_joints(inputs, scenario, target + 1)
-        moved = self._checker.executor(SELF_MOTION, lanes, x, motion_number.astype(np.int32))
+        moved = self._checker.executor(SELF_MOTION, lanes, x, np.full_like(x, np.nan), motion_number.astype(np.int32))
         lane, step = np.nonzero(np.arange(moved.path.x.shape[1]) < moved.steps[:, None])
         proven = np.zeros(moved.path.clearance.shape, bool)
         if len(lane):  # the tip is checked only at the end of each self-motion

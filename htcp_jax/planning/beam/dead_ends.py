@@ -37,7 +37,7 @@ from htcp_jax.motion import (
     transfers,
 )
 from htcp_jax.numerics import ragged_rows
-from htcp_jax.planning.beam.functions import MOVE_TOWARDS, inputs_and_tubes
+from htcp_jax.planning.beam.functions import SELF_MOTION, inputs_and_tubes
 from htcp_jax.planning.beam.searches import NONE, Searches
 from htcp_jax.planning.beam.tree import JointSteps
 from htcp_jax.planning.tracking import stages
@@ -423,7 +423,7 @@ class DeadEnds:
         target, end = self._tree.target[row], self._tree.x[row]
         inputs, tube = inputs_and_tubes(self._problem, columns.scenario[search], target, np.zeros_like(target), True)
         lanes = self._problem.with_still_joints(inputs, columns.scenario[search], target + 1)
-        moved = self._checker.executor(MOVE_TOWARDS, lanes, begin, end)
+        moved = self._checker.executor(SELF_MOTION, lanes, begin, end, np.zeros(len(row), np.int32))
         count = moved.steps + 1  # number of segments, including the one to the end
         lane, step = ragged_rows(count)
         x = np.concatenate([begin[:, None], moved.path.x, end[:, None]], axis=1)

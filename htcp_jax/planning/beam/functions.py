@@ -39,6 +39,7 @@ class SelfMotion(NamedTuple):
 
     path: step_functions.State  # (steps, ...), of which the first `steps` are valid
     steps: jax.Array  # number of steps
+    arrives: jax.Array  # True if the last configuration is within a step's length of the motion's end
 
 
 def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) -> Loop:
@@ -90,107 +91,63 @@ def extend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x) ->
     return Loop((start, straight, zero, zero - 1), going, step, extended)
 
 
-def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, motion_number) -> Loop:
-    """Move from x (N,) [rad or m], on its target, along a random direction of the null space.
+def self_motion(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, end, motion_number) -> Loop:
+    """Move from x (N,) [rad or m], on its target, in the null space: in a random direction, or towards an end.
 
-    At every step the direction is projected onto the null space of the current configuration. The motion ends after a
-    random number of steps, or before the first configuration that is not valid.
+    At every step the direction is projected onto the null space of the current configuration. The motion ends before
+    the first configuration that is not valid. A random motion has a random number of steps. A motion towards an end
+    has at most REACHING_STEPS; every step brings it nearer.
 
     Args:
         settings: Length and number of steps.
         scene: Arm, obstacles and task.
         lane: The lane's inputs.
         x: Configuration on the lane's target (N,) [rad or m].
-        motion_number: Number of the self-motion in its round, which seeds its random numbers.
+        end: Another configuration at the same target (N,) [rad or m], or NaN for a random motion.
+        motion_number: Number of a random motion in its round, which seeds its random numbers.
 
     Returns:
         A loop whose result is `SelfMotion`.
     """
     robot, task = step_functions.with_still_joints(scene, lane, x), scene.task
-    of_moving = partial(step_functions.of_moving_joints, lane)
+    length, of_moving = settings.self_motion_step_rad, partial(step_functions.of_moving_joints, lane)
     key = fold_keys(jax.random.PRNGKey(lane.seed), lane.number, lane.row, lane.round, motion_number)
-    towards, length = jax.random.split(key)
-    longest = jax.random.randint(length, (), 1, settings.self_motion_steps + 1).astype(jnp.int32)
+    towards, count = jax.random.split(key)
+    has_end = ~jnp.isnan(end[0])
+    drawn = jax.random.randint(count, (), 1, settings.self_motion_steps + 1).astype(jnp.int32)
+    most = jnp.where(has_end, REACHING_STEPS, drawn)
 
     def going(state):
-        good, *_, steps = state
-        return good & (steps < longest)
+        good, x, *_, steps = state
+        return good & (steps < most) & ~(safe_norm(end - x) <= length)
 
     def step(_, state):
         _, x, direction, path, steps = state
         basis = null_basis(of_moving(task.linear_at(robot, x, lane.target).jacobian), task.optional)
-        within = jnp.where(steps == 0, direction[: basis.shape[1]], product(direction, basis))
+        within = product(jnp.where(has_end, end - x, direction), basis)
+        within = jnp.where(has_end | (steps > 0), within, direction[: basis.shape[1]])
         direction = of_moving(product(basis, within))
-        direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
-        ahead = jnp.clip(x + settings.self_motion_step_rad * direction, robot.lower, robot.upper)
-        there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
-        D = minimum_clearance(robot, scene.obstacles, lane, there)
-        good = task.is_satisfied(D, residual, lane.margin_m)
-        good &= safe_norm(there - x) >= LEAST_STEP * settings.self_motion_step_rad
-        here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
-        path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
-        return good, there, direction, path, steps + good.astype(jnp.int32)
-
-    path = _empty_path(len(x), settings.self_motion_steps)
-    # The first direction is random in the null space: its coordinates are the first entries of this vector.
-    first = jax.random.normal(towards, x.shape)
-    start = (jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32))
-    return Loop(start, going, step, lambda state: SelfMotion(*state[3:]))
-
-
-class Reaching(NamedTuple):
-    """A lane's self-motion towards another configuration, step by step."""
-
-    path: step_functions.State  # (REACHING_STEPS, ...), of which the first `steps` are valid
-    steps: jax.Array  # number of steps
-    arrives: jax.Array  # True if the last configuration is within a step's length of the other configuration
-
-
-def move_towards(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x, end) -> Loop:
-    """Move in the null space from x towards another configuration at the same target, as long as each step is valid.
-
-    Args:
-        settings: Length of a step.
-        scene: Arm, obstacles and task.
-        lane: The lane's inputs.
-        x: Configuration on the lane's target (N,) [rad or m].
-        end: The other configuration (N,) [rad or m].
-
-    Returns:
-        A loop whose result is `Reaching`.
-    """
-    robot, task = step_functions.with_still_joints(scene, lane, x), scene.task
-    length, of_moving = settings.self_motion_step_rad, partial(step_functions.of_moving_joints, lane)
-
-    def going(state):
-        good, x, _, steps = state
-        return good & (steps < REACHING_STEPS) & (safe_norm(end - x) > length)
-
-    def step(_, state):
-        _, x, path, steps = state
-        basis = null_basis(of_moving(task.linear_at(robot, x, lane.target).jacobian), task.optional)
-        direction = of_moving(product(basis, product(end - x, basis)))
         direction = direction / jnp.maximum(safe_norm(direction), 1e-12)
         ahead = jnp.clip(x + length * direction, robot.lower, robot.upper)
         there, residual = reanchor(robot, ahead, lane.target, task.fine_m, task=task)
         D = minimum_clearance(robot, scene.obstacles, lane, there)
         good = task.is_satisfied(D, residual, lane.margin_m)
-        good &= safe_norm(end - there) <= safe_norm(end - x) - LEAST_STEP * length
+        nearer = safe_norm(end - there) <= safe_norm(end - x) - LEAST_STEP * length
+        good &= jnp.where(has_end, nearer, safe_norm(there - x) >= LEAST_STEP * length)
         here = step_functions.State(there, clearance=D, residual=residual, tcp=kinematics.tcp_position(robot, there))
         path = jax.tree.map(lambda all_, new: all_.at[steps].set(jnp.where(good, new, all_[steps])), path, here)
-        return good, jnp.where(good, there, x), path, steps + good.astype(jnp.int32)
+        return good, jnp.where(good, there, x), direction, path, steps + good.astype(jnp.int32)
 
-    def reached(state) -> Reaching:
-        _, x, path, steps = state
-        return Reaching(path, steps, safe_norm(end - x) <= length)
+    def moved(state) -> SelfMotion:
+        _, x, _, path, steps = state
+        return SelfMotion(path, steps, safe_norm(end - x) <= length)
 
-    start = (jnp.full((), True), x, _empty_path(len(x), REACHING_STEPS), jnp.zeros((), jnp.int32))
-    return Loop(start, going, step, reached)
-
-
-def _empty_path(joints: int, most: int) -> step_functions.State:
-    names = {"x": (joints,), "clearance": (), "residual": (), "tcp": (3,)}
-    return step_functions.State(**{name: jnp.zeros((most, *shape)) for name, shape in names.items()})
+    rows = max(settings.self_motion_steps, REACHING_STEPS)
+    names = {"x": x.shape, "clearance": (), "residual": (), "tcp": (3,)}
+    path = step_functions.State(**{name: jnp.zeros((rows, *shape)) for name, shape in names.items()})
+    # The first direction is random in the null space: its coordinates are the first entries of this vector.
+    first = jax.random.normal(towards, x.shape)
+    return Loop((jnp.full((), True), x, first, path, jnp.zeros((), jnp.int32)), going, step, moved)
 
 
 EXTEND = lane_function.LaneFunction(
@@ -200,9 +157,6 @@ EXTEND = lane_function.LaneFunction(
 )  # fmt: skip
 SELF_MOTION = lane_function.LaneFunction(
     "self_motion", self_motion, lane_function.TRACKED, ("self_motion_steps", "self_motion_step_rad"), any_cone=True
-)
-MOVE_TOWARDS = lane_function.LaneFunction(
-    "move_towards", move_towards, lane_function.TRACKED, ("self_motion_step_rad",), any_cone=True
 )
 
 

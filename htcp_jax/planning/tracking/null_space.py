@@ -13,7 +13,7 @@ import numpy as np
 
 from htcp_jax.backend import backend
 from htcp_jax.clearance import HasWorkpiecePose, Obstacles, Scene, clearances, contacts, minimum_clearance
-from htcp_jax.clearance.obstacles import ContactModel, hold_contacts, predict_distances
+from htcp_jax.clearance.obstacles import ContactModel, Contacts, hold_contacts, predict_distances
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, kinematics, reanchor
 from htcp_jax.motion import lane_inputs, step_functions
@@ -60,7 +60,12 @@ def seen_rows(scene: Scene, include_proximal_bodies: bool) -> Bool[Anywhere, "R"
 
 
 def sphere_problem(
-    scene: Scene, settings: Settings, where: HasWorkpiecePose, x_ref: Joints, target: Float[Array, "G"] | None = None
+    scene: Scene,
+    settings: Settings,
+    where: HasWorkpiecePose,
+    x_ref: Joints,
+    target: Float[Array, "G"] | None = None,
+    touch: Contacts | None = None,
 ) -> tuple[sphere.Sphere, ContactModel, Float[Array, "N D"]]:
     """Return the problem of equation (11) at x_ref, the contacts at x_ref, and alpha N(x_ref) [rad].
 
@@ -72,11 +77,13 @@ def sphere_problem(
         where: Pose of the workpiece.
         x_ref: The configuration [rad or m].
         target: The task's goal; not needed for a task of points, where it may be None.
+        touch: The contacts at x_ref, if they are known; None: they are measured.
     """
     robot, obstacles, task = scene
     rows = scene.rows
+    touch = contacts(robot, obstacles, where, x_ref) if touch is None else touch
     held = task.linear_at(robot, x_ref, jnp.zeros(task.numbers) if target is None else target)
-    step_basis = settings.alpha_rad * null_basis(held.jacobian)
+    step_basis = settings.alpha_rad * null_basis(held.jacobian, task.optional)
     weights = jnp.asarray(settings.q_weights)
     # J1 = |x - x_ref|_Q^2 = w' (alpha N)' Q (alpha N) w
     half = settings.j1_weight * product(step_basis.T, weights[:, None] * step_basis)
@@ -86,9 +93,9 @@ def sphere_problem(
 
     def observe(w):
         x = x_ref + product(step_basis, w)
-        touch = contacts(robot, obstacles, where, x)
-        distance = jnp.minimum(touch.distance, BEYOND_M) + far
-        return distance - product(w, product(half, w)), hold_contacts(robot, x, rows, touch)
+        new = contacts(robot, obstacles, where, x)
+        distance = jnp.minimum(new.distance, BEYOND_M) + far
+        return distance - product(w, product(half, w)), hold_contacts(robot, x, rows, new)
 
     def measure(w):
         x, j1 = x_ref + product(step_basis, w), product(w, product(half, w))
@@ -111,7 +118,7 @@ def sphere_problem(
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
     return (
         problem,
-        hold_contacts(robot, x_ref, rows, contacts(robot, obstacles, where, x_ref)),
+        hold_contacts(robot, x_ref, rows, touch),
         step_basis,
     )
 
@@ -192,13 +199,16 @@ def anchor(
         x: Configuration [rad or m].
         target: The task's goal [m].
     """
-    robot, obstacles, task = scene
-    off = task.residual_at(robot, x, target)
+    here = _on_target(scene, x, target)
+    return here._replace(clearance=minimum_clearance(scene.robot, scene.obstacles, where, here.x))
+
+
+def _on_target(scene: Scene, x: Joints, target: Float[Array, "G"]) -> step_functions.State:
+    """Return x, re-anchored if its task error exceeds xi, with its residual but without its clearance."""
+    robot, _, task = scene
     anchored, _ = reanchor(robot, x, target, task.fine_m, task=task)
-    x = jnp.where(task.reached(off), x, anchored)
-    return step_functions.State(
-        x, clearance=minimum_clearance(robot, obstacles, where, x), residual=task.residual_at(robot, x, target)
-    )
+    x = jnp.where(task.reached(task.residual_at(robot, x, target)), x, anchored)
+    return step_functions.State(x, residual=task.residual_at(robot, x, target))
 
 
 Minimise = Callable[[sphere.Sphere, ContactModel, jax.Array, Settings], sphere.Best]
@@ -241,6 +251,7 @@ def keep_clear_ascent(
     target: Float[Array, "G"],
     enough_m: Scalar | float | None = None,
     steps: int | None = None,
+    anchorings: int = 1,
 ) -> step_functions.State:
     """Return the state after max-min null-space steps away from obstacles; its D is never smaller than at x.
 
@@ -255,35 +266,42 @@ def keep_clear_ascent(
         target: The task's goal, which remains satisfied [m].
         enough_m: Clearance D at which to stop; None: `keep_clear_m`.
         steps: Maximum number of steps; None: `keep_clear_steps`.
+        anchorings: How often x is brought onto the target before the first step.
     """
     enough_m = settings.keep_clear_m if enough_m is None else enough_m
     steps = settings.keep_clear_steps if steps is None else steps
 
     def going(state):
-        best, scale, count = state
+        (best, _), scale, count = state
         return (count < 0) | (best.clearance < enough_m) & (count < steps) & (scale > 1e-4)
 
-    def raised(best, scale):
-        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target)
+    def raised(best, touch, scale):
+        problem, held, step_basis = sphere_problem(scene, settings, where, best.x, target, touch)
         w = sphere.max_min_step(problem, held, scale)
         return jnp.clip(best.x + product(step_basis, w), scene.robot.lower, scene.robot.upper)
 
+    def look(x):
+        here = _on_target(scene, x, target)
+        touch = contacts(scene.robot, scene.obstacles, where, here.x)
+        return here._replace(clearance=jnp.min(touch.distance)), touch
+
     def step(state):
-        best, scale, count = state
+        (best, touch), scale, count = state
         if backend().is_cpu:
-            x = jax.lax.cond(count < 0, lambda best, _: best.x, raised, best, scale)
+            x = jax.lax.cond(count < 0, lambda best, *_: best.x, raised, best, touch, scale)
         else:  # under vmap a cond computes both branches, and batches all that they read, even the scene
-            x = jnp.where(count < 0, best.x, raised(best, scale))
-        new = anchor(scene, settings, where, x, target)
-        better = (count < 0) | (new.clearance > best.clearance) & scene.task.reached(new.residual)
-        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, best)
+            x = jnp.where(count < 0, best.x, raised(best, touch, scale))
+        new = look(x)
+        better = (count < 0) | (new[0].clearance > best.clearance) & scene.task.reached(new[0].residual)
+        best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, (best, touch))
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
-    if not scene.task.freedom(scene.robot):
+    if not scene.task.freedom(scene.robot) + scene.task.optional:
         return anchor(scene, settings, where, x, target)
-    # The first iteration anchors and measures the initial x, so that both functions are compiled only once.
-    unknown = step_functions.State(x, clearance=jnp.zeros(()), residual=jnp.zeros(()))
-    best, _, _ = jax.lax.while_loop(going, step, (unknown, jnp.full((), 0.5), jnp.full((), -1, jnp.int32)))
+    # The first iterations anchor and measure the initial x, so that both functions are compiled only once.
+    unknown = step_functions.empty_result(look, x)
+    start = (unknown[0]._replace(x=x), unknown[1]), jnp.full((), 0.5), jnp.full((), -anchorings, jnp.int32)
+    (best, _), *_ = jax.lax.while_loop(going, step, start)
     return best
 
 
@@ -300,8 +318,7 @@ def push_clear(
         target: The task's goal [m].
     """
     enough_m = jnp.maximum(1e-9, where.margin_m)
-    x = anchor(scene, settings, where, x, target).x
-    return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES)
+    return keep_clear_ascent(scene, settings, where, x, target, enough_m, PUSHES, anchorings=2)
 
 
 def stuck_key(seed, number, row, stage: int, round_) -> jax.Array:

@@ -175,5 +175,5 @@ def ascend(settings: Settings, scene: Scene, lane: lane_inputs.LaneInputs, x):
 
 ENTER = lane_function.LaneFunction("enter", enter_null_space, lane_function.STEP, step_functions.MEASURED)
 ASCEND = lane_function.LaneFunction("ascend", ascend, lane_function.STEP, (*READS, "keep_clear_m", "keep_clear_steps"))
-PUSH = lane_function.LaneFunction("push", push, lane_function.STEP, READS)
+PUSH = lane_function.LaneFunction("push", push, lane_function.STEP, READS, any_cone=True)
 DRAW = lane_function.LaneFunction("draw", draw, lane_function.SAMPLED, READS)
