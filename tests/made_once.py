@@ -1,6 +1,7 @@
 """Objects that several tests need and that are slow to make: made once per session."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from htcp_jax.clearance import Scene, minimum_clearance
+from htcp_jax.clearance import Obstacle, Scene, minimum_clearance
 from htcp_jax.clearance.obstacles.of_workpiece import make_obstacle
 from htcp_jax.clearance.proof.bisection import Proof, initial_state
 from htcp_jax.clearance.proof.joint_path import StraightPath
@@ -25,7 +26,9 @@ from htcp_jax.model import Robot, Scenario, Workpiece
 from htcp_jax.model.duct import section
 from htcp_jax.model.kinematics import capsule_segments, tcp_position
 from htcp_jax.model.mesh_points import cover_mesh
+from htcp_jax.model.scenario import stack
 from htcp_jax.model.scenario_setup import make_scenario
+from htcp_jax.motion.measured_rows import MeasuredRows
 
 START = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)
 MEASURED = Path(__file__).parents[2] / "shared" / "data" / "duct"
@@ -67,6 +70,12 @@ def scene() -> Scene:
 def nominal() -> Scenario:
     """Middle scenario of the robot sweep on the generated duct, as device arrays."""
     return jax.tree.map(jnp.asarray, make_scenario(robot(), duct(), START))
+
+
+def nearest_name(robot: Robot, obstacle: Obstacle, row: int, x: np.ndarray, margin_m: float = 0.0) -> str:
+    """Name of the part of an obstacle that is nearest to the body of a row at x, in the middle scenario."""
+    where = stack([replace(nominal(), margin_m=np.array(margin_m))])
+    return MeasuredRows(robot, (obstacle,), where, np.asarray(x)[None]).other(row, 0)
 
 
 @cache

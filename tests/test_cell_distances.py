@@ -18,7 +18,6 @@ from benchmarks import cell_distances
 from htcp_jax.clearance import Scene, clearances, contacts, is_clear, rows_of
 from htcp_jax.clearance.obstacles.contact_model import hold_contacts, predict_distances
 from htcp_jax.clearance.obstacles.fixtures import Fixtures
-from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.of_cell import make_fixtures, solid_of
 from htcp_jax.clearance.proof.bisection import PathVerdict
@@ -266,7 +265,7 @@ def answer(query, x):
 
 
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():
-    robot, where, own = made_once.robot(), made_once.nominal(), everything()
+    robot, own = made_once.robot(), everything()
     assert len(own.names) - own.names.count("") == 8 and own.pieces is not None  # "" is a row of padding
     touching = 0
     for x, found, clear, each, *_ in zip(*(leaf[:25] for leaf in answered()[:4]), strict=True):
@@ -277,8 +276,7 @@ def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():
         touching += int(expected.min() <= 0)
         row = int(expected.argmin())
         nearest = own.names[every[:, row].argmin()]
-        bodies = bodies_at(robot, where, jnp.asarray(x))
-        assert own.nearest_name(robot, where, row, bodies) == f"the fixture {nearest!r}"
+        assert made_once.nearest_name(robot, own, row, x) == f"the fixture {nearest!r}"
     assert 3 < touching < 22
 
 

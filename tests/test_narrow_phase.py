@@ -356,12 +356,12 @@ def test_a_message_names_the_nearest_body_by_the_pieces_where_they_decide():
     close = np.min(by_piece[:2], axis=0) < LIMIT_M
     rows = sorted(np.argwhere(close).tolist(), key=lambda each: solid[*each] == of_capsule[*each])  # unequal ones first
     for k, body in rows[:3]:
-        name = both.nearest_name(arm, WHERE, body, bodies_at(arm, WHERE, xs[k]))
+        name = made_once.nearest_name(arm, both, body, xs[k], MARGIN_M)
         assert name == f"the fixture {('crate', 'post')[solid[k, body]]!r}"
         seen += solid[k, body] != of_capsule[k, body]
     pair, of_capsule = (np.argmin(np.concatenate(each[2:], axis=1), axis=1) for each in (by_piece, by_capsule))
     for k in np.argsort(pair == of_capsule, kind="stable")[:3].tolist():
-        name = own.nearest_name(arm, WHERE, row, bodies_at(arm, WHERE, xs[k]))
+        name = made_once.nearest_name(arm, own, row, xs[k], MARGIN_M)
         assert name == capsule_label(arm, arm.capsule_names[others[row][pair[k]]])
         seen += pair[k] != of_capsule[k]
     assert seen > 0, "in which the capsules would name the other one"

@@ -15,7 +15,6 @@ from test_joint_path import rail
 
 from htcp_jax.clearance import Scene, clearances
 from htcp_jax.clearance.distance.segments import nearest_columns, nearest_points
-from htcp_jax.clearance.obstacles.obstacle import bodies_at
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows, contacts
 from htcp_jax.clearance.obstacles.self_collision import FEW_PAIRS, SelfCollision, make_self_collision
 from htcp_jax.clearance.obstacles.self_exclusions import candidates, distances, samples
@@ -285,7 +284,7 @@ def test_of_several_bodies_on_a_link_the_nearest_decides(tmp_path):
             each = [np.linalg.norm(p[body] - p[b]) - radius[body] - radius[b] for b in others]
             np.testing.assert_allclose(found[row], min(each), atol=1e-12)
             nearest = robot.capsule_names[others[int(np.argmin(each))]]
-            assert own.nearest_name(robot, where, row, bodies_at(robot, where, x)) == f"capsule {nearest}"
+            assert made_once.nearest_name(robot, own, row, x) == f"capsule {nearest}"
 
 
 def test_what_a_model_excludes_is_handed_on_to_an_imported_arm(tmp_path):

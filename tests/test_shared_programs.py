@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import test_known_rows
 import toy
-from test_kept_executables import key_of
+from test_kept_executables import key_of, traced
 
 from htcp_jax.clearance import Scene, clearances, contacts, is_clear
 from htcp_jax.clearance.distance.solids import Box
@@ -18,7 +18,11 @@ from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.cli import typical_jobs
 from htcp_jax.model import Robot
 from htcp_jax.model.robot import FAR_M
+from htcp_jax.model.scenario import stack
+from htcp_jax.motion.measured_rows import MeasuredRows
+from htcp_jax.motion.start_check import start_contact
 from htcp_jax.motion.step_functions import ADVANCE, PROVE
+from htcp_jax.reachability.obstruction import obstruction
 
 
 def cell(robot: Robot, points: int, boxes: int, pairs: tuple[tuple[int, int], ...]) -> Scene:
@@ -28,8 +32,8 @@ def cell(robot: Robot, points: int, boxes: int, pairs: tuple[tuple[int, int], ..
     return Scene(robot, (cloud, fixtures(robot, solids), SelfCollision(pairs)))
 
 
-def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
-    """Another arm: a slide in place of a hinge, other links and one more of the bodies, other pairs."""
+def another_arm() -> Robot:
+    """The toy arm with a slide in place of a hinge, other links, and one more of the bodies."""
     arm = toy.robot()
     rows = {name: jnp.concatenate([getattr(arm, name), getattr(arm, name)[-1:]]) for name in ("capsule_p", "capsule_q")}
     rows |= {
@@ -37,7 +41,11 @@ def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
         "on_tool": jnp.zeros((len(arm.capsule_link) + 1, 2)),
     }
     links, names = (0, *arm.capsule_link), (*arm.capsule_names, "more")
-    other = replace(arm, **rows, capsule_link=links, capsule_names=names, slides=(True, *arm.slides[1:]))
+    return replace(arm, **rows, capsule_link=links, capsule_names=names, slides=(True, *arm.slides[1:]))
+
+
+def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
+    arm, other = toy.robot(), another_arm()
     scenes = cell(arm, 20, 1, ((2, 0),)), cell(other, 3000, 3, ((3, 0), (3, 1)))
     assert all(len({key_of(each, scene=scene) for scene in scenes}) == 1 for each in (ADVANCE, PROVE))
     few, many, more = (key_of(ADVANCE, scene=cell(arm, points, 1, ((2, 0),))) for points in (4096, 4097, 20_000))
@@ -73,6 +81,24 @@ def test_padding_changes_no_clearance_and_is_far_from_everything():
     assert (np.delete(np.asarray(found.distance), rows, axis=1) > FAR_M / 2).all()
     np.testing.assert_array_equal(clear, padded_clear)
     assert len(rows) < found.distance.shape[1] and 0 < clear.sum() < 40
+
+
+def test_the_reason_why_a_plan_fails_compiles_nothing_for_another_arm():
+    """The body at a failed target, the contact at the start, and the nearest solid or body of every row."""
+
+    def reasons(scene: Scene):
+        known, others = (scene.robot, toy.workpiece(), toy.scenario()), scene.obstacles[1:]
+        found = obstruction(*known, np.array(toy.START), 4, toy.SETTINGS, others)
+        near = start_contact(*known, obstacles=others)
+        measured = MeasuredRows(scene.robot, others, stack([known[2]]), found.x[None])
+        return found.description, near, [measured.other(row, 0) for row in range(measured.distance.shape[1])]
+
+    reasons(cell(toy.robot(), 20, 2, ((1, 0),)))
+    scene = cell(another_arm(), 3000, 3, ((2, 0), (2, 1)))
+    (description, near, nearest), functions = traced(lambda: reasons(scene))
+    assert functions == 0
+    assert description.startswith("inverse kinematics") and near[1:3] == ("capsule more", "the workpiece")
+    assert nearest == [*["the fixture '0'"] * 3, "capsule forearm", "capsule tool"]
 
 
 @pytest.mark.parametrize("joints", [6, 7, 8])

@@ -5,8 +5,8 @@ its obstacles and task, which all scenarios of a plan share; `own_scene` returns
 
 `minimum_clearance` returns the clearance of a configuration, `clearances` one distance per row of the obstacles, and
 `contacts` the nearest points and their normals. `is_clear` tests D > margin_m at less cost. `ClearanceRows` are the
-linearised clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `nearest_to` are for code that
-evaluates single pairs.
+linearised clearances of a step QP. `HasWorkpiecePose`, `rows_of`, `in_workpiece` and `contacts_of_each` are for code
+that evaluates single pairs.
 
 There are three packages, from the bottom up. `distance`, for this package only, computes distances of a capsule from
 points, half-spaces and solids, with spatial indices. `clearance.obstacles` has the kinds of obstacle.

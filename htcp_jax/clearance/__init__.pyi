@@ -9,7 +9,7 @@ from .obstacles.obstacle import (
     rows_of,
     surface_points,
 )
-from .obstacles.obstacles import ClearanceRows, clearances, contacts, is_clear, minimum_clearance, nearest_to
+from .obstacles.obstacles import ClearanceRows, clearances, contacts, contacts_of_each, is_clear, minimum_clearance
 
 __all__ = [
     "ClearanceRows",
@@ -20,10 +20,10 @@ __all__ = [
     "by_pieces",
     "clearances",
     "contacts",
+    "contacts_of_each",
     "in_workpiece",
     "is_clear",
     "minimum_clearance",
-    "nearest_to",
     "own_scene",
     "rows_of",
     "surface_points",

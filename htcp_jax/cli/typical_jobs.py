@@ -17,10 +17,12 @@ import trimesh
 from htcp_jax import jobs
 from htcp_jax.api import Plan
 from htcp_jax.clearance.obstacles import SelfCollision
+from htcp_jax.device import devices
 from htcp_jax.io.robots import gp50
 from htcp_jax.model import Robot, Workpiece, body_pieces, kinematics, make_piece
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
+from htcp_jax.reachability import obstruction
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
@@ -71,6 +73,8 @@ def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | Non
     obstacles = (*jobs.build.obstacles_of(job.cell, robot), pairs)
     execution = Execution(device, warm_up=("beam",) if robot.dof in RECOVERS else ())
     problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
+    with devices.on(problem.devices[0]):  # what a failed plan compiles to name the reason
+        obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
     return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
 
 

@@ -32,6 +32,7 @@ COMPILER = {
     "cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"},
     "gpu": {"xla_gpu_autotune_level": 0},
 }
+QUICK = {"cpu": {"xla_backend_optimization_level": 0}}  # in addition, for functions with `compiles_quickly`
 
 
 NO_MEMORY = "RESOURCE_EXHAUSTED"  # in the message of JAX's error if a device runs out of memory
@@ -120,6 +121,8 @@ class ExecutableCache:
         """Load an executable from disk, or trace and compile it."""
         lane_function, values, device, *about = key
         options, keeps = COMPILER.get(device.platform, {}), self._on_disk and cache_folder.folder() is not None
+        if lane_function.compiles_quickly:
+            options = options | QUICK.get(device.platform, {})
         source = source_key(lane_function, values, device, options, *about) if keeps else None
         if found := kept_executables.find(source, device, arguments):
             return found

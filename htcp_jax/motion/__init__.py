@@ -10,7 +10,7 @@ segment, `home` joins the home configuration to the start, and `smoothing` short
 `configurations` selects configurations that are far apart, and stores them in trees; `transfers` joins a start to other
 configurations. `tool_cells` proves that a target has no clear configuration. `step_functions` has the compiled
 functions of one lane, `lane_inputs` their inputs. `plans` computes outcomes; `motion` computes figures such as cost,
-curvature and clearance.
+curvature and clearance. `measured_rows` measures and names, for messages, the bodies nearest to each other.
 """
 
 import lazy_loader

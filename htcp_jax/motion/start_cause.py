@@ -5,26 +5,24 @@ pairs are measured at the random configurations that were sampled to find a star
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future
-from functools import cache, partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from htcp_jax.clearance import Scene, contacts, nearest_to
 from htcp_jax.clearance.obstacles import SelfCollision, refused_pair
-from htcp_jax.device import lane_function, tables
+from htcp_jax.device import tables
 from htcp_jax.errors import InputError, mm_text
 from htcp_jax.model import Robot
 from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion import start_check
 from htcp_jax.motion.home import FIRST_ROUND, ROUNDS
-from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.measured_rows import MeasuredRows, task_errors
+from htcp_jax.motion.problem import Problem, Rows
 from htcp_jax.motion.transfers import drawn_configurations
 from htcp_jax.status import AT_HOME, Status
 
@@ -88,30 +86,33 @@ def start_causes(problem: Problem, status: Int[np.ndarray, "S"], rounds: int = R
     rows, scenarios = np.flatnonzero(np.isin(status, CAUSES)).tolist(), problem.scenarios
     begin = [s for s in rows if status[s] != Status.NO_START]
     x = np.where(np.isin(status, AT_HOME)[:, None], scenarios.x_home, scenarios.x_start)[begin]
-    causes = {s: _overlap(problem, at) for s, at in zip(begin, _Measured.each(problem, begin, x), strict=True)}
-    causes = {s: cause or StartCause(Status(int(status[s])).message) for s, cause in causes.items()}
+    causes = dict[int, StartCause]()
+    if begin:
+        found = _measured(problem, np.array(begin), x)
+        for k, s in enumerate(begin):
+            causes[s] = _overlap(problem, found, k) or StartCause(Status(int(status[s])).message)
     for s in (s for s in rows if s not in causes):
         causes[s] = standing_overlap(problem, s) or _without_start(problem, s, rounds).unproven
     places = {s: causes[s].place(scenarios.T_world_workpiece[s]) for s in rows}
     return {s: causes[s]._replace(description=places[s] + causes[s].description) for s in rows}
 
 
-def _overlap(problem: Problem, found: "_Measured") -> StartCause | None:
-    """Return the deepest overlap at a configuration, of bodies that do not move if there is one; None without one."""
-    if (depth := -found.distance[0]).max() <= 0:
-        return _excluded_overlap(problem, found.x[0])
+def _overlap(problem: Problem, found: MeasuredRows, k: int) -> StartCause | None:
+    """Return the deepest overlap at configuration k, of bodies that do not move if there is one; None without one."""
+    if (depth := -found.distance[k]).max() <= 0:
+        return _excluded_overlap(problem, found.x[k])
     standing = found.stands & (depth > 0)
     row = int(np.where(standing, depth, -np.inf).argmax() if standing.any() else depth.argmax())
-    return found.cause(row, 0, always=bool(standing[row]))
+    return _cause(found, row, k, always=bool(standing[row]))
 
 
 def standing_overlap(problem: Problem, s: int) -> StartCause | None:
     """Return the deepest overlap that exists in every configuration of a scenario; None if there is none."""
     (x,) = drawn_configurations(problem, problem.checkers[0], np.array([s]), FIRST_ROUND)
-    found = _Measured.at(problem, s, x)
+    found = _measured(problem, s, x)
     always = np.where(found.distance.max(axis=0) <= 0, -found.distance.max(axis=0), -np.inf)
     row = int(always.argmax())
-    return found.cause(row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
+    return _cause(found, row, int(found.distance[:, row].argmax()), always=True) if always[row] >= 0 else None
 
 
 def check_starts(problem: Problem, compilations: Sequence[Future]) -> None:
@@ -187,12 +188,10 @@ def closest_pairs(problem: Problem, x: Float[np.ndarray, "N"], count: int) -> li
         x: The configuration [rad or m].
         count: Maximum number of pairs.
     """
-    found, pairs = _Measured.at(problem, 0, x[None]), dict[tuple[int, str], Attempt]()
+    found, pairs = _measured(problem, 0, x[None]), dict[tuple[int, str], Attempt]()
     for row in found.distance[0].argsort(kind="stable").tolist():
-        name, other = found.pair(row, 0)
-        link, label = found.link(row), robots.capsule_label(problem.robot, name)
-        attempt = Attempt(x, label, other, found.points[0, row], -float(found.distance[0, row]), link)
-        pairs.setdefault((link, other), attempt)
+        attempt = _attempt(found, row, 0)._replace(body=found.label(row))
+        pairs.setdefault((attempt.link, attempt.other), attempt)
         if len(pairs) == count:
             break
     return list(pairs.values())
@@ -200,64 +199,30 @@ def closest_pairs(problem: Problem, x: Float[np.ndarray, "N"], count: int) -> li
 
 def clearances_at(problem: Problem, x: Float[np.ndarray, "n N"]) -> Float[np.ndarray, "n"]:
     """Return D at configurations in the problem's first scenario [m]."""
-    return _Measured.at(problem, 0, x).distance.min(axis=1, initial=np.inf)
+    return _measured(problem, 0, x).distance.min(axis=1, initial=np.inf)
 
 
-class _Measured:
-    """Distances of all rows at n configurations of a scenario."""
+def _measured(problem: Problem, scenarios: Rows, x: Float[np.ndarray, "n N"]) -> MeasuredRows:
+    """Return the distances at n configurations of one scenario, or of n."""
+    inputs, device = problem.inputs(np.broadcast_to(scenarios, len(x)), 0), problem.devices[0]
+    return MeasuredRows(problem.robot, problem.obstacles, inputs, x, device)
 
-    def __init__(
-        self,
-        problem: Problem,
-        s: int,
-        x: Float[np.ndarray, "n N"],
-        distance: Float[np.ndarray, "n R"],
-        points: Float[np.ndarray, "n R 3"],
-        longer: Callable[[float], Robot],
-    ):
-        self._problem, self._s, self.x, self.distance, self.points = problem, s, x, distance, points
-        self._longer = longer  # the arm with a tool extension [m]
-        self._scene = Scene(problem.robot, problem.obstacles, problem.task)
-        self._rows = self._scene.rows
-        self._links = self._rows.links(problem.robot)
-        self.stands: Bool[np.ndarray, "R"] = self._links < 0
 
-    @classmethod
-    def at(cls, problem: Problem, s: int, x: Float[np.ndarray, "n N"]) -> "_Measured":
-        """Return the distances at configurations of one scenario."""
-        found = _measured_rows(problem, np.full(len(x), s), x)
-        return cls(problem, s, x, *found, partial(robots.lengthen_tool, problem.robot))
+def _cause(found: MeasuredRows, row: int, k: int, always: bool) -> StartCause:
+    """Return a `StartCause` for the overlap of a row at configuration k."""
+    other, body, depth_m = found.other(row, k), found.label(row), -float(found.distance[k, row])
+    text = f"{body} is {mm_text(depth_m)} inside {other}"
+    if always:
+        where = "every configuration" if found.stands[row] else f"all of {len(found.x)} random configurations"
+        least = "" if found.stands[row] else "at least "
+        text = f"{other} and {body} overlap by {least}{mm_text(depth_m)} in {where}"
+    return StartCause(text, found.body(row), other, depth_m, always)
 
-    @classmethod
-    def each(cls, problem: Problem, scenarios: Sequence[int], x: Float[np.ndarray, "n N"]) -> "list[_Measured]":
-        """Return the distances at one configuration of each scenario, measured in one call."""
-        if not len(x):
-            return []
-        found = _measured_rows(problem, np.array(scenarios), x)
-        longer = cache(partial(robots.lengthen_tool, problem.robot))
-        return [cls(problem, s, *(table[k : k + 1] for table in (x, *found)), longer) for k, s in enumerate(scenarios)]
 
-    def link(self, row: int) -> int:
-        """Return the number of the link to which a row's body belongs; negative: the base."""
-        return int(self._links[row])
-
-    def pair(self, row: int, k: int) -> tuple[str, str]:
-        """Return the name of a row's body, and the name of the obstacle nearest to it at configuration k."""
-        here = jax.tree.map(lambda leaf: leaf[self._s], self._problem.scenarios)
-        own = self._longer(float(here.tool_extension_m))
-        other = nearest_to(own, self._problem.obstacles, here, jnp.asarray(self.x[k]), row)
-        return own.capsule_names[self._rows.body[row]], other
-
-    def cause(self, row: int, k: int, always: bool) -> StartCause:
-        """Return a `StartCause` for the overlap of a row at configuration k."""
-        name, other = self.pair(row, k)
-        depth_m, body = -float(self.distance[k, row]), robots.capsule_label(self._problem.robot, name)
-        text = f"{body} is {mm_text(depth_m)} inside {other}"
-        if always:
-            where = "every configuration" if self.stands[row] else f"all of {len(self.x)} random configurations"
-            least = "" if self.stands[row] else "at least "
-            text = f"{other} and {body} overlap by {least}{mm_text(depth_m)} in {where}"
-        return StartCause(text, name, other, depth_m, always)
+def _attempt(found: MeasuredRows, row: int, k: int) -> Attempt:
+    """Return the overlap or clearance of a row at configuration k as an attempt."""
+    depth_m, point = -float(found.distance[k, row]), found.found.witness[k, row]
+    return Attempt(found.x[k], found.body(row), found.other(row, k), point, depth_m, int(found.links[row]))
 
 
 def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
@@ -268,13 +233,13 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     at = checker.states(inputs, checker.project(inputs, drawn))
     reached, attempts = task.reached(at.residual), f"{len(drawn)} random attempts"
     if not reached.any():
-        best = int(np.argmin(at.residual))
-        robot = robots.lengthen_tool(problem.robot, float(scenarios.tool_extension_m[s]))
-        off, angle = map(float, task.errors(robot, jnp.asarray(at.x[best]), jnp.asarray(inputs.target[best])))
+        best = np.array([np.argmin(at.residual)])
+        one = tables.gather(inputs, best)
+        (off,), (angle,), _ = task_errors(problem.robot, task, one, at.x[best], one.target)
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
         text = f"in {attempts} the arm came only to within {mm_text(off)}{turned} of the point"
-        return StartCause(text + _at_limits(problem.robot, at.x[best]))
-    found = _Measured.at(problem, s, at.x[reached])
+        return StartCause(text + _at_limits(problem.robot, at.x[best[0]]))
+    found = _measured(problem, s, at.x[reached])
     least = found.distance.min(axis=1)
     if clear := int((least > 0).sum()):
         valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
@@ -288,17 +253,15 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
         return StartCause(text, depth_m=-most_m)
     deepest = found.distance.argmin(axis=1)
     tried = Counter(deepest.tolist()).most_common(NAMED)
-    pairs = [(*found.pair(row, int(np.argmax(deepest == row))), count) for row, count in tried]
-    named = [f"{robots.capsule_label(problem.robot, a)} with {b} ({count})" for a, b, count in pairs]
-    body, other, _ = pairs[0]
+    pairs = [(row, found.other(row, int(np.argmax(deepest == row))), count) for row, count in tried]
+    named = [f"{found.label(row)} with {other} ({count})" for row, other, count in pairs]
+    row, other, _ = pairs[0]
     k, depth_m = int(least.argmax()), -float(least.max())
     text = (
         f"{len(least)} of {attempts} reached the point, all in collision, the least by {mm_text(depth_m)}: "
         f"{', '.join(named)}"
     )
-    row = int(deepest[k])
-    attempt = Attempt(found.x[k], *found.pair(row, k), found.points[k, row], depth_m, found.link(row))
-    return StartCause(text, body, other, depth_m, attempt=attempt)
+    return StartCause(text, found.body(row), other, depth_m, attempt=_attempt(found, int(deepest[k]), k))
 
 
 def _at_limits(robot: Robot, x: Float[np.ndarray, "N"]) -> str:
@@ -316,20 +279,3 @@ def _excluded_overlap(problem: Problem, x: Float[np.ndarray, "N"]) -> StartCause
             body, other = (robot.capsule_names[k] for k in (found.first, found.second))
             return StartCause(found.reason, body, robots.capsule_label(robot, other), found.depth_m)
     return None
-
-
-def _measured_rows(
-    problem: Problem, scenarios: Int[np.ndarray, "n"], x: Float[np.ndarray, "n N"]
-) -> list[Float[np.ndarray, "n R ..."]]:
-    """Return the results of `_row_distances` at a configuration of each given scenario, without rows of padding."""
-    executor = problem.checkers[0].executor
-    return [table[:, executor.rows] for table in executor(MEASURE, problem.inputs(scenarios, 0), x)]
-
-
-def _row_distances(settings, scene: Scene, where, x):
-    """Return the distance of every row at x [m], and the nearest point of the row's obstacle, world [m]."""
-    found = contacts(scene.robot, scene.obstacles, where, x)
-    return found.distance, found.witness
-
-
-MEASURE = lane_function.LaneFunction("measure_rows", _row_distances, lane_function.STEP, any_cone=True)

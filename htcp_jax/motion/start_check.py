@@ -8,16 +8,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
+from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import RefusedPair, SelfCollision, all_obstacles, refused_pair
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Workpiece
-from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenario_functions
+from htcp_jax.motion.measured_rows import MeasuredRows
 from htcp_jax.status import Status
 
 INTERIOR_RULE = (  # after the name of the part, where not its points but the rule decides
@@ -53,23 +52,16 @@ def start_contact(
         obstacles: In addition to the workpiece.
         fixed_first: True: if any fixed body overlaps an obstacle, return the fixed body with the deepest overlap.
     """
-    scenario = jax.tree.map(jnp.asarray, scenario)
-    x = scenario.x_start if x is None else jnp.asarray(x)
-    scene = Scene(robots.lengthen_tool(robot, scenario.tool_extension_m), all_obstacles(workpiece, obstacles))
-    touch = jax.jit(contacts)(scene.robot, scene.obstacles, scenario, x)
-    distance, fixed = np.asarray(touch.distance), scene.rows.links(robot) < 0
+    x = np.asarray(scenario.x_start if x is None else x)
+    measured = MeasuredRows(robot, all_obstacles(workpiece, obstacles), scenario_functions.stack([scenario]), x[None])
+    distance, fixed = measured.distance[0], measured.stands
     if fixed_first and (fixed & (distance <= 0)).any():
         distance = np.where(fixed, distance, np.inf)
     row = int(distance.argmin())
-    body = scene.rows.body[row]
-    surface = np.asarray(surface_points(scene.robot, scene.rows, touch)[row])
-    points = np.stack([surface, surface - np.asarray(distance[row] * touch.normal[row])])
-    by_piece = bool(by_pieces(scene.robot, scene.rows, touch)[row])
-    other = nearest_to(scene.robot, scene.obstacles, scenario, x, row)
-    note = robots.mesh_note(scene.robot, robot.capsule_names[body], other, np.asarray(x), points, by_piece)
-    other += INTERIOR_RULE if bool(touch.by_interior_rule[row]) else ""
-    label = robots.capsule_label(robot, robot.capsule_names[body])
-    return StartContact(float(touch.distance[row]), label, other + note, bool(fixed[row]))
+    other = measured.other(row, 0)
+    rule = INTERIOR_RULE if measured.found.by_interior_rule[0, row] else ""
+    other = f"{other}{rule}{measured.mesh_note(row, 0, other)}"
+    return StartContact(float(distance[row]), measured.label(row), other, bool(fixed[row]))
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:

@@ -8,14 +8,13 @@ configurations to which the beam search extends these. They are a sample of thos
 from collections import Counter
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.device import tables
 from htcp_jax.errors import mm_text
-from htcp_jax.model import Robot, Task, surface
-from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.model import surface
+from htcp_jax.motion import CollisionChecker, Problem, lane_inputs, measured_rows
 from htcp_jax.planning.beam.functions import EXTEND, SELF_MOTION, inputs_and_tubes
 from htcp_jax.status import SegmentStatus
 
@@ -114,7 +113,7 @@ def refused_segment(
     )
     k = int(np.lexsort((excess, proof.verdict != SegmentStatus.VALID))[0])
     verdict = SegmentStatus(int(proof.verdict[k]))
-    angles = np.zeros(len(PLACES)) if tube.goals is None else _angles(problem.robot, task, tube.goals[k], x[k])
+    angles = np.zeros(len(PLACES)) if tube.goals is None else _angles(problem, inputs, tube.goals, k, x[k])
     worst = _worst_place(verdict, float(proof.place[k]), clearance[k], off[k], angles, float(tube.radius[k]))
     counts = Counter(SegmentStatus(int(each)) for each in proof.verdict)
     here = float(PLACES[worst]), x[k, worst], float(clearance[k, worst]), float(off[k, worst]), float(angles[worst])
@@ -145,14 +144,16 @@ def _from_line(
 
 
 def _angles(
-    robot: Robot, task: Task, goals: Float[np.ndarray, "2 G"], x: Float[np.ndarray, "m N"]
+    problem: Problem,
+    inputs: lane_inputs.LaneInputs,
+    goals: Float[np.ndarray, "n 2 G"],
+    k: int,
+    x: Float[np.ndarray, "m N"],
 ) -> Float[np.ndarray, "m"]:
-    """Return the deviations from the orientations between two goals at configurations along a path [rad]."""
-    between = task.interpolated(np.repeat(goals[None], len(x), axis=0), PLACES)
-    return np.array([float(_ERRORS(task, robot, *each)[1]) for each in zip(x, between, strict=True)])
-
-
-_ERRORS = jax.jit(lambda task, robot, x, goal: task.errors(robot, x, goal))
+    """Return the deviations from the orientations between two goals at configurations along path k [rad]."""
+    inputs, goals = tables.gather((inputs, goals), np.full(len(x), k))
+    between = problem.task.interpolated(goals, PLACES)
+    return measured_rows.task_errors(problem.robot, problem.task, inputs, x, between)[1]
 
 
 def _worst_place(

@@ -8,19 +8,16 @@ configurations at the target; the plan may have failed in others.
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts, nearest_to, surface_points
+from htcp_jax.clearance import Obstacles, Scene
 from htcp_jax.clearance.obstacles import all_obstacles
 from htcp_jax.device import Executor, lane_function
 from htcp_jax.errors import mm_text
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, reanchor
-from htcp_jax.model import robot as robots
 from htcp_jax.model import scenario as scenarios
-from htcp_jax.motion import Plans, lane_inputs
+from htcp_jax.motion import Plans, lane_inputs, measured_rows
 from htcp_jax.settings import Settings
 from htcp_jax.status import AT_HOME, Status
 
@@ -127,35 +124,24 @@ def obstructions(
         task: The constraints at the targets; None: the TCP's position.
     """
     task = Task(tolerance_m=settings.tolerance_m) if task is None else task
-    scene = Scene(robot, obstacles, task)
-    lanes = (where, np.asarray(x_last, float), np.asarray(goals, float))
-    executor = Executor(scene, settings)
-    measured = executor(BRING, *lanes) if len(x_last) else ()
-    found = []
-    for k, (row, point, surfaces, by_piece, depth, off, x) in enumerate(zip(*measured, strict=True)):
-        here = jax.device_put(jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), where))
-        own, row = _WITH_TOOL(robot, here.tool_extension_m), int(np.flatnonzero(executor.rows == row)[0])
-        other = nearest_to(own, obstacles, here, jnp.asarray(x), row)
-        number, reached = scene.rows.body[row], bool(task.reached(np.asarray(off)))
-        body = robot.capsule_names[number]
-        note = robots.mesh_note(own, body, other, x, surfaces, bool(by_piece))
-        label = robots.capsule_label(robot, body)
-        one = Obstruction(body, point, float(depth), float(off), reached, x, other, note, label)
+    if not len(x_last):
+        return []
+    place, goals = measured_rows.Placement.of(where), np.asarray(goals, float)
+    executor = Executor(Scene(robot, (), task), settings)
+    brought, residual = executor(BRING, place, np.asarray(x_last, float), goals)
+    errors, is_reached = measured_rows.task_errors(robot, task, place, brought, goals), task.reached(residual)
+    measured, found = measured_rows.MeasuredRows(robot, obstacles, place, brought), []
+    for k, (x, off, reached) in enumerate(zip(brought, residual.tolist(), is_reached.tolist(), strict=True)):
+        row = int(measured.distance[k].argmin())
+        body, point, depth_m = measured.body(row), measured.found.witness[k, row], -float(measured.distance[k, row])
+        other = measured.other(row, k)
+        note, label = measured.mesh_note(row, k, other), measured.label(row)
+        one = Obstruction(body, point, depth_m, off, reached, x, other, note, label)
         if not (reached or task.is_points):
-            distance, angle, within = _distance_from_goal(own, task, jnp.asarray(x), jnp.asarray(goals[k]))
-            one = one._replace(residual_m=distance, angle_rad=angle, within_bands=within)
+            distance, angle, slack = (float(table[k]) for table in errors)
+            one = one._replace(residual_m=distance, angle_rad=angle, within_bands=slack >= 0)
         found.append(one)
     return found
-
-
-def _distance_from_goal(robot: Robot, task: Task, x: jax.Array, goal: jax.Array) -> tuple[float, float, bool]:
-    """Return the distance [m] and the angle [rad] from a goal, and False if a cone or band of the task is violated."""
-    (distance, angle), slack = _OFF(task, robot, x, goal)
-    return float(distance), float(angle), bool(slack >= 0)
-
-
-_WITH_TOOL = jax.jit(robots.lengthen_tool)
-_OFF = jax.jit(lambda task, *at: (task.errors(*at), task.slack(task.value(*at[:2]), at[2])))
 
 
 def blocked_target(plans: Plans, scenario: int) -> int | None:
@@ -168,21 +154,9 @@ def blocked_target(plans: Plans, scenario: int) -> int | None:
     return None if end.status in (None, *NO_BODY) else end.failed
 
 
-def _brought_there(settings: Settings, scene: Scene, where, x_last, goal):
-    """Move one scenario's arm onto its goal, and measure the clearance in the resulting configuration.
-
-    Returns:
-        Row of the smallest clearance, nearest point of the obstacle [m], nearest points on the surfaces of the body and
-            of the obstacle [m], True if the distance is that of a convex piece, depth [m], TCP error [m], and
-            configuration [rad or m].
-    """
-    robot, obstacles, task = scene
-    x, residual = reanchor(robot, x_last, goal, task.fine_m, task=task)
-    touch = contacts(robot, obstacles, where, x)
-    row = jnp.argmin(touch.distance)
-    surface, by_piece = (of(robot, scene.rows, touch)[row] for of in (surface_points, by_pieces))
-    surfaces = jnp.stack([surface, surface - touch.distance[row] * touch.normal[row]])
-    return row, touch.witness[row], surfaces, by_piece, -touch.distance[row], residual, x
+def _bring(settings: Settings, scene: Scene, where: measured_rows.Placement, x_last, goal):
+    """Move one scenario's arm onto its goal; return the configuration [rad or m] and the residual [m]."""
+    return reanchor(scene.robot, x_last, goal, scene.task.fine_m, task=scene.task)
 
 
-BRING = lane_function.LaneFunction("bring", _brought_there, lane_function.STEP)
+BRING = lane_function.LaneFunction("bring", _bring, lane_function.STEP, any_cone=True)

@@ -22,7 +22,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.model import surface as surfaces
-from htcp_jax.motion import Motion, Plans
+from htcp_jax.motion import Motion, Plans, measured_rows
 from htcp_jax.motion import motion as motions
 from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
@@ -33,7 +33,7 @@ from htcp_jax.viewer.arm_pose import ArmPose, arms_at, links_at, moved, roots_at
 from htcp_jax.viewer.colours import TargetStyle, target_styles, verdict_styles
 from htcp_jax.viewer.normal_glyphs import NormalGlyphs, glyphs
 from htcp_jax.viewer.viewpoints import ShownScene, Viewpoint, camera_views
-from htcp_jax.viewer.workcell import GivenCell, Placement, Workcell, Workcells, cells_of
+from htcp_jax.viewer.workcell import GivenCell, Workcell, Workcells, cells_of
 
 VIEW_SAMPLES = 3  # number of configurations that determine the viewpoint
 SEGMENT_SAMPLES = 33  # number of samples on a segment for its minimum distance
@@ -387,14 +387,14 @@ def _narrow(target: int | None, seen: Witness) -> NarrowSegment | None:
     return NarrowSegment(target, float(apart[k]), seen.body[k], seen.arm[k], seen.cloud[k])
 
 
-def _witness(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[np.ndarray, "T N"]) -> Witness:
+def _witness(robot: Robot, obstacle: Obstacles, where: measured_rows.Placement, x: Float[np.ndarray, "T N"]) -> Witness:
     row, arm, cloud = map(np.asarray, _nearest_points(robot, obstacle, where, jnp.asarray(x)))
     body = np.array(rows_of(robot, obstacle).body)[row]
     return Witness([robot.capsule_names[k] for k in body.tolist()], arm, cloud)
 
 
 @jax.jit
-def _nearest_points(robot: Robot, obstacle: Obstacles, where: Placement, x: Float[jax.Array, "T N"]):
+def _nearest_points(robot: Robot, obstacle: Obstacles, where: measured_rows.Placement, x: Float[jax.Array, "T N"]):
     """Return the nearest pair at every configuration: row of the contact, point on the arm, point on the obstacle."""
     rows = rows_of(robot, obstacle)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Hashable
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +12,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.jobs import build
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, interior_plane_of
 from htcp_jax.model import surface as surfaces
+from htcp_jax.motion import measured_rows
 from htcp_jax.runs import Parameters, PlanSet, plan_folder
 from htcp_jax.runs import open as plan_sets
 from htcp_jax.spec import PlanConfig, numbers_of
@@ -20,15 +20,6 @@ from htcp_jax.viewer.drawn_meshes import MOST_TRIANGLES
 
 MOST_CELLS = 8  # maximum number of workcells in memory
 DOT_M = 5e-4  # radius of a dot
-
-
-class Placement(NamedTuple):
-    """One scenario's workpiece pose, interior plane and tool extension; implements `HasWorkpiecePose`."""
-
-    T_world_workpiece: Float[np.ndarray, "4 4"]
-    interior_plane: Float[np.ndarray, "4"]
-    tool_extension_m: float
-    obstacle_numbers: Float[np.ndarray, "P"] | None = None
 
 
 class Workcell:
@@ -87,7 +78,7 @@ class RecordedCells:
         """
         return self._keys[number] if self._found.mixed else None
 
-    def placement(self, number: int) -> Placement:
+    def placement(self, number: int) -> measured_rows.Placement:
         """Return the workpiece's placement in a scenario."""
         cell = self.cell(self.key(number))
         found = self._found
@@ -123,7 +114,7 @@ class GivenCell:
         self._scenario = scenario
         T, plane = np.asarray(scenario.T_world_workpiece), np.asarray(scenario.interior_plane)
         self._cell = cell
-        self._placement = Placement(T, plane, float(scenario.tool_extension_m), scenario.obstacle_numbers)
+        self._placement = measured_rows.Placement(T, plane, float(scenario.tool_extension_m), scenario.obstacle_numbers)
 
     def key(self, number: int) -> Hashable:
         """Return None, the key of the only workcell."""
@@ -133,7 +124,7 @@ class GivenCell:
         """Return the only workcell."""
         return self._cell
 
-    def placement(self, number: int) -> Placement:
+    def placement(self, number: int) -> measured_rows.Placement:
         """Return the placement, which is the same in every scenario."""
         return self._placement
 
@@ -178,7 +169,7 @@ def _shared(job: PlanConfig) -> tuple:
     return build.robot_key(job), build.workpiece_key(job), job.approach, job.settings, job.cell
 
 
-def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> Placement:
+def _placement(robot: Robot, workpiece: Workpiece, given: Parameters) -> measured_rows.Placement:
     turn = given.rotation_y_rad, given.rotation_z_rad
     T = workpiece.T_world(*turn, tuple(given.shift_m.tolist()), given.rotation_x_rad)
-    return Placement(T, interior_plane_of(robot, workpiece, T), given.tool_extension_m)
+    return measured_rows.Placement(T, interior_plane_of(robot, workpiece, T), given.tool_extension_m)

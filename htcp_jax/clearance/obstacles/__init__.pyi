@@ -2,7 +2,7 @@ from . import self_exclusions
 from .contact_model import ContactModel, hold_contacts, predict_distances
 from .given_obstacle import given_obstacles, with_given
 from .linearisation import Linearisation, TaskRows, linearise
-from .obstacle import Contacts
+from .obstacle import Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 from .of_workpiece import all_obstacles
@@ -21,6 +21,7 @@ __all__ = [
     "TipGuard",
     "all_obstacles",
     "given_obstacles",
+    "grouped",
     "hold_contacts",
     "linearise",
     "make_fixtures",

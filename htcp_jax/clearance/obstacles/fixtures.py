@@ -93,9 +93,18 @@ class Fixtures(Obstacle):
         found = jnp.concatenate([_each_seen(kind, p, q).distance for kind in kinds])
         return found - robot.capsule_radius[None]
 
-    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of the solid nearest to a body, for messages."""
-        return f"the fixture {self.names[int(_distances_alone(self, robot, where, bodies)[:, row].argmin())]!r}"
+    def parts(self, robot: Robot, row: int) -> Int[np.ndarray, "G"]:
+        """Return the numbers of all solids."""
+        return np.arange(len(self.names))
+
+    def only(self, robot: Robot, part: Int[jax.Array, ""]) -> "Fixtures":
+        """Return the obstacle with one of its solids; all solids for a negative number."""
+        is_part = (jnp.arange(len(self.is_checked)) == part) | (part < 0)
+        return dataclasses.replace(self, is_checked=self.is_checked & is_part[:, None])
+
+    def part_name(self, robot: Robot, part: int) -> str:
+        """Return the name of a solid, for messages."""
+        return f"the fixture {self.names[part]!r}"
 
     def _nearest(self, p: Ends, q: Ends, radius: Float[Array, "K"], within: Scalar | float = np.inf) -> Contacts:
         """Return the contact of each capsule with the nearest of its solids; pieces only within `within` [m]."""
@@ -205,16 +214,6 @@ def _prism(radius: float, half: float) -> Float[np.ndarray, "P 3"]:
     """Return the corners [m] of the prism with SIDES sides about a cylinder along z."""
     angle, outer = 2 * np.pi * np.arange(SIDES) / SIDES, radius / np.cos(np.pi / SIDES)
     return np.array([[outer * np.cos(a), outer * np.sin(a), z] for a in angle for z in (-half, half)])
-
-
-@jax.jit
-def _distances_alone(own: Fixtures, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Float[Array, "G K"]:
-    """Return the distance of every body to every solid [m], each computed as if there were no other solid."""
-
-    def alone(mask: Bool[Array, "G K"]) -> Float[Array, "K"]:
-        return dataclasses.replace(own, is_checked=mask).contacts(robot, where, bodies).distance
-
-    return jax.lax.map(alone, jnp.eye(len(own.is_checked), dtype=bool)[..., None] & own.is_checked[None])
 
 
 def _stacked(solids: list[Solid]) -> Solid:

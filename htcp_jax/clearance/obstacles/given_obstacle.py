@@ -51,7 +51,7 @@ class GivenObstacle(Obstacle):
         """Return a lower bound on the distance of every body [m]."""
         return self._measured(robot, where, bodies)[1]
 
-    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+    def part_name(self, robot: Robot, part: int) -> str:
         """Return the kind's name, for messages."""
         return f"the obstacle {self.template.kind.name!r}"
 

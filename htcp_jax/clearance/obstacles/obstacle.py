@@ -218,9 +218,17 @@ class Obstacle:
         """
         return self
 
-    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of the obstacle's part that is nearest to the body of a row, for messages."""
-        return f"the obstacle {type(self).__name__!r}"
+    def parts(self, robot: Robot, row: int) -> Sequence[int] | Int[np.ndarray, "n"]:
+        """Return the numbers of the parts, at least one, that may be nearest to the body of a row."""
+        return (0,)
+
+    def only(self, robot: Robot, part: Int[jax.Array, ""]) -> "Obstacle":
+        """Return the obstacle with one of several parts alone, for rows that have this part; all parts if negative."""
+        return self
+
+    def part_name(self, robot: Robot, part: int) -> str:
+        """Return the name of a part for messages."""
+        return "the workpiece" if self.of_workpiece else f"the obstacle {type(self).__name__!r}"
 
 
 Obstacles = tuple[Obstacle, ...]

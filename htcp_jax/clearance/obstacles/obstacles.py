@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.backend import backend
@@ -55,11 +54,18 @@ def contacts(
         smallest: True: only the row with the smallest distance has to be exact; other distances may be overestimated,
             see `Obstacle.closest`.
     """
+    return contacts_of_each(robot, obstacles, where, x, smallest)[0]
+
+
+def contacts_of_each(
+    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, smallest: bool = False
+) -> tuple[Contacts, list[list[Contacts]]]:
+    """Return the contacts of all rows, see `contacts`, and those of each obstacle in each group, see `grouped`."""
     bodies = bodies_at(robot, where, x)
     obstacles = decide_together(robot, obstacles, where, bodies)
     query = lambda each: each.closest if smallest else each.contacts  # noqa: E731
     groups = [[query(each)(robot, where, bodies) for each in own] for own in grouped(obstacles)]
-    return _one_after_another([_nearest_contacts(own) for own in groups])
+    return _one_after_another([_nearest_contacts(own) for own in groups]), groups
 
 
 def clearances(
@@ -203,30 +209,6 @@ def _distances_and_gradients(
     """Return the distances [m] and their gradients in closed form [m/rad]."""
     touch, rows = contacts(robot, obstacles, where, x, smallest), rows_of(robot, obstacles)
     return ClearanceRows(touch.distance, slopes(robot, x, rows, touch.normal, touch.point, touch.witness))
-
-
-_clearances, _bodies_at = jax.jit(clearances), jax.jit(bodies_at)
-
-
-def nearest_to(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints, row: int) -> str:
-    """Return a description, for messages, of the obstacle nearest to a row's body at x."""
-    if all(each.of_workpiece for each in obstacles):
-        return "the workpiece"
-    rows = 0
-    for own in grouped(obstacles):
-        count = len(own[0].rows(robot).body)
-        if row < rows + count:
-            break
-        rows += count
-    named = [each for each in own if not each.of_workpiece]
-    others = tuple(each for each in own if each.of_workpiece)
-    parts = [(each,) for each in named] + ([others] if named and others else [])
-    every = [np.asarray(_clearances(robot, part, where, x)) for part in parts] if len(parts) > 1 else []
-    distance = [float(own[row - rows]) for own in every] or [0.0]
-    if not named or distance.index(min(distance)) == len(named):
-        return "the workpiece"
-    bodies = _bodies_at(robot, where, x)
-    return named[distance.index(min(distance))].nearest_name(robot, where, row - rows, bodies)
 
 
 def _nearest_contacts(parts: list[Contacts]) -> Contacts:

@@ -84,7 +84,7 @@ class PlacedCloud(Obstacle):
         """The cloud's name, as a tuple."""
         return (self.name,)
 
-    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
+    def part_name(self, robot: Robot, part: int) -> str:
         """Return the cloud's name, for messages."""
         return f"the fixture {self.name!r}"
 

@@ -103,11 +103,17 @@ class SelfCollision(Obstacle):
         lower = jnp.where(doubt, every.distance, jnp.inf)
         return narrow_phase.Doubts(capsules, capsules.distance < limit, known, first, second, row_of_pair, lower)
 
-    def nearest_name(self, robot: Robot, where: HasWorkpiecePose, row: int, bodies: BodyAxes) -> str:
-        """Return the name of the other link's capsule that is nearest to the body of a row, for messages."""
-        numbers = self.table_of(robot).numbers[row]
-        nearest = numbers[int(_distances_alone(self, robot, where, bodies, numbers, row).argmin())]
-        return robots.capsule_label(robot, robot.capsule_names[self.pairs[nearest][1]])
+    def parts(self, robot: Robot, row: int) -> Int[np.ndarray, "n"]:
+        """Return the numbers of a row's pairs."""
+        return np.unique(self.table_of(robot).numbers[row])
+
+    def only(self, robot: Robot, part: Int[jax.Array, ""]) -> "SelfCollision":
+        """Return the obstacle with one pair as the only one of its row; with all pairs for a negative number."""
+        return SelfCollision((), table=self.table_of(robot).only(part))
+
+    def part_name(self, robot: Robot, part: int) -> str:
+        """Return the name of the capsule of a pair that is nearer to the base, for messages."""
+        return robots.capsule_label(robot, robot.capsule_names[self.pairs[part][1]])
 
     def described(self, robot: Robot) -> str:
         """Return a text with the number of checked pairs, and of excluded pairs by rule."""
@@ -149,6 +155,15 @@ class PairTable(NamedTuple):
         numbers = jnp.asarray(self.numbers)
         best = jnp.argmin(distance[numbers], axis=1)
         return jnp.take_along_axis(numbers, best[:, None], axis=1)[:, 0]
+
+    def only(self, pair: Int[jax.Array, ""]) -> "PairTable":
+        """Return the table with one pair in place of all others; all pairs for a negative number."""
+        is_pair = True if self.is_pair is None else self.is_pair
+        return self._replace(
+            numbers=jnp.where(pair < 0, self.numbers, pair),
+            is_pair=((jnp.arange(len(self.first)) == pair) | (pair < 0)) & is_pair,
+            is_row=np.ones(len(self.body), bool) if self.is_row is None else self.is_row,
+        )
 
     def padded(self, bodies: int) -> "PairTable":
         """Return the table with one of few sizes, which are at least those of usual arms with this many bodies."""
@@ -313,22 +328,3 @@ def _column_contacts(
     t, u, _ = nearest_columns(*ends)
     on_a, on_b = ends[0] + t[None] * (ends[1] - ends[0]), ends[2] + u[None] * (ends[3] - ends[2])
     return _contacts(on_a.T, on_b.T, robot.capsule_radius[a] + robot.capsule_radius[b])
-
-
-@jax.jit
-def _distances_alone(
-    own: SelfCollision,
-    robot: Robot,
-    where: HasWorkpiecePose,
-    bodies: BodyAxes,
-    numbers: Int[Array, "n"],
-    row: Int[Array, ""],
-) -> Float[Array, "n"]:
-    """Return the distances of n pairs of a row [m], each computed as if it were the row's only pair."""
-    every = own._measured(robot, bodies)
-
-    def alone(number: Int[Array, ""]) -> Scalar:
-        distance = jnp.where(jnp.arange(len(own.pairs)) == number, every.distance, jnp.inf)
-        return own._contacts(robot, where, bodies, every._replace(distance=distance)).distance[row]
-
-    return jax.lax.map(alone, numbers)
