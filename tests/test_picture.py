@@ -20,7 +20,7 @@ from htcp_jax.reachability import Obstruction
 from htcp_jax.status import Status
 from htcp_jax.viewer import draw_plan
 from htcp_jax.viewer.arm_pose import arms_at, pieces_at
-from htcp_jax.viewer.picture import draw_scale, shown_targets, stadium
+from htcp_jax.viewer.picture import LEGEND, draw_scale, shown_targets, stadium
 
 COORDINATE = st.floats(-3, 3)
 POINT = st.tuples(COORDINATE, COORDINATE).map(np.array)
@@ -122,6 +122,20 @@ def test_the_clearance_axis_has_plain_numbers_only(most_m, labels):
     shown = {text.get_text() for text in axis.get_ticklabels()}
     assert labels <= shown and all(float(text) for text in shown)
     assert not any(text.get_text() for text in axis.get_ticklabels(minor=True))
+
+
+def test_a_legend_with_every_kind_of_target_lies_between_the_heading_and_the_edge():
+    count = int(toy.scenario().count)
+    kinds = [Status.TRACKED_AFTER_RECOVERY, *[Status.TRACKED] * (count - 3), Status.PATH_BLOCKED, Status.NOT_ATTEMPTED]
+    plans = plans_with([kinds], joints=4)._replace(target=np.asarray(toy.scenario().targets)[None])
+    figure = draw_plan(toy.robot(), toy.workpiece(), toy.scenario(), plans)
+    axes = figure.axes[-1]
+    axes.axvline(1, label="dwell")
+    axes.legend(**LEGEND)
+    figure.canvas.draw()
+    legend, heading = axes.get_legend().get_window_extent(), axes._left_title.get_window_extent()
+    assert len(axes.get_legend().get_texts()) == 6
+    assert heading.x1 < legend.x0 and legend.x1 <= figure.bbox.x1
 
 
 def test_each_view_has_the_axes_x_y_and_z_and_the_azimuth_of_the_eye():

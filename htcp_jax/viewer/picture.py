@@ -18,7 +18,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
 from htcp_jax.model import Robot, Scenario, Workpiece, kinematics, surface
@@ -67,6 +67,7 @@ CLOSE = 0.03  # lines closer than this share of all targets have their texts lef
 AXIS_PT, TILT = 22.0, 0.35  # axes of a view: length of one across the view; how far down one towards the eye points
 TRIAD_AT = 0.4, -0.42  # origin of the axes, from the view's lower left corner [inches]
 BEHIND = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 1}  # background of a text over a curve
+LEGEND = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 6, "borderaxespad": 0.2, "frameon": False}
 PLACE = {"left": 0.045, "right": 0.985, "bottom": 0.065, "top": 0.915, "wspace": 0.03, "hspace": 0.25}
 
 
@@ -122,7 +123,7 @@ def draw_plan(
     draw_clearance(below, plans, row, scenario)
     seam_marks.draw_begins(below, plans, seams)
     _draw_events(below, motion, plans.outcome(row), plans.status.shape[1], colliding_body)
-    below.legend(loc="lower left", frameon=False, ncols=6, bbox_to_anchor=(0.36, 1.0), borderaxespad=0.2)
+    below.legend(**LEGEND)
     if angles is not None:
         draw_angles(figure.add_subplot(grid[2, :]), *angles)
     return figure
@@ -454,6 +455,7 @@ def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> No
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
