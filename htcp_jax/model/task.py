@@ -179,15 +179,15 @@ class Task:
         return tuple(feature for part in self.parts for feature in part.features)
 
     def freedom(self, robot: Robot) -> int:
-        """Return the dimension of the null space, D = N - M.
+        """Return the dimension of the null space, D = N - M, where M does not count optional equations.
 
         Raises:
             InputError: For more equations than joints.
         """
-        joints = robot.dof
-        if self.rows > joints:
-            raise InputError(f"the task has {self.rows} equations, more than the {joints} joints of robot {robot.name}")
-        return joints - self.rows
+        joints, rows = robot.dof, self.rows - self.optional
+        if rows > joints:
+            raise InputError(f"the task has {rows} equations, more than the {joints} joints of robot {robot.name}")
+        return joints - rows
 
     def value(self, robot: Robot, x: Joints) -> Float[Array, "V"]:
         """Return the coordinates of the arm's features at x [rad or m]: points [m], directions without a unit."""

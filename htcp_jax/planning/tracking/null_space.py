@@ -296,7 +296,7 @@ def keep_clear_ascent(
         best = jax.tree.map(lambda n, b: jnp.where(better, n, b), new, (best, touch))
         return best, jnp.where(better, scale, 0.5 * scale), count + 1
 
-    if not scene.task.freedom(scene.robot) + scene.task.optional:
+    if not scene.task.freedom(scene.robot):
         return anchor(scene, settings, where, x, target)
     # The first iterations anchor and measure the initial x, so that both functions are compiled only once.
     unknown = step_functions.empty_result(look, x)
