@@ -27,7 +27,7 @@ from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
 BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
-RECOVERS, FAILS = (6,), (6, 7)  # numbers of joints with the functions that follow a dead end, and a failed plan
+COMPLETE = 6  # number of joints for which functions that follow dead ends and failed plans are compiled, too
 AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
 CORNERS = 48  # at each end of a body's convex piece, which is a prism
 AHEAD_M, ASIDE_M = 0.25, 5.0  # distances of the part from the TCP, and of the cell from the arm
@@ -71,9 +71,9 @@ def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | Non
     scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
     pairs = SelfCollision(_pairs(robot)[: PAIRS[robot.dof]])
     obstacles = (*jobs.build.obstacles_of(job.cell, robot), pairs)
-    execution = Execution(device, warm_up=("beam",) if robot.dof in RECOVERS else ())
+    execution = Execution(device, warm_up=("beam",) if robot.dof == COMPLETE else ())
     problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
-    if robot.dof in FAILS:
+    if robot.dof == COMPLETE:
         with devices.on(problem.devices[0]):  # what a failed plan compiles to name the reason
             obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
     return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
