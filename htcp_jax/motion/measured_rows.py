@@ -22,7 +22,7 @@ ALL = -1  # in place of the number of an obstacle's part
 
 
 class Placement(NamedTuple):
-    """What distances depend on in a scenario, or in n scenarios; implements `HasWorkpiecePose`."""
+    """The part of a scenario, or of n scenarios, that distances depend on; implements `HasWorkpiecePose`."""
 
     T_world_workpiece: Float[np.ndarray, "*n 4 4"]  # this and the others: see `Scenario`
     interior_plane: Float[np.ndarray, "*n 4"]

@@ -171,7 +171,8 @@ class PairTable(NamedTuple):
         sizes = next(
             each
             for k, each in enumerate(_sizes(), 1)
-            if 8 * k >= min(bodies, 24) and all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
+            if k * robots.BODIES >= min(bodies, robots.MORE_BODIES)
+            and all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
         )
         numbers = with_repeated(with_repeated(self.numbers, sizes[1]).T, sizes[2]).T
         of_pairs, of_rows = (

@@ -116,11 +116,7 @@ def sphere_problem(
         h = jnp.concatenate([h, jnp.maximum(held.slack, 0.0)])
     predict = with_gradient(lambda w, held: predicted(w, held)[0], predicted)
     problem = sphere.Sphere(observe, measure, predict, 2 * half, G, jnp.minimum(h, 1e3))
-    return (
-        problem,
-        hold_contacts(robot, x_ref, rows, touch),
-        step_basis,
-    )
+    return problem, hold_contacts(robot, x_ref, rows, touch), step_basis
 
 
 def null_space_objective(
