@@ -25,6 +25,7 @@ ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m
 CORE_VERTICES = 96  # maximum number of vertices of the core
 FAN = 16  # facets in a row of the table: the argmax, ten times slower than a maximum, then covers fewer numbers
 CORE = np.array([1.0, 1.0, 1.0, -1.0])  # signs that turn Qhull's equations n @ x + d <= 0 into n @ x <= offset
+LEAST = 192, 1024  # minimum numbers of facets of a core and of a hull, with padding: few sizes let parts share programs
 BLOCK = 256  # facets per block of the kernel
 
 
@@ -53,7 +54,9 @@ def half_spaces(
     """
     core = _core(vertices) if len(offset) else np.zeros((0, 4))
     every = core, np.column_stack([normal, offset])
-    core, facets = (with_repeated(each, padded_count(len(each))) for each in every)
+    core, facets = (
+        with_repeated(each, padded_count(max(len(each), least))) for each, least in zip(every, LEAST, strict=True)
+    )
     table = with_repeated(facets, -(-len(facets) // FAN) * FAN).T.reshape(4, -1, FAN)
     return jax.device_put(HalfSpaces(facets[:, :3], facets[:, 3], (core * CORE).T.astype(np.float32), table))
 

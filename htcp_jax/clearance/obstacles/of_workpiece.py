@@ -8,14 +8,17 @@ is found once and then fixed.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from htcp_jax.backend import backend
 from htcp_jax.caching import cached_for_last
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths, half_spaces
 from htcp_jax.clearance.distance.sweep import SweptCapsules
-from htcp_jax.clearance.obstacles.cloud import cloud_of
+from htcp_jax.clearance.obstacles.cloud import Cloud, cloud_of
 from htcp_jax.clearance.obstacles.obstacle import (
     DECIDED_M,
     BodyAxes,
@@ -52,6 +55,24 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
     if not len(workpiece.hull_offset):
         return (cloud,)
     return cloud, Interior(half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices))
+
+
+@cache
+def _without_facets() -> "Interior":
+    """Return the rule of a workpiece that has no interior; the planes of its scenarios are infinitely far away."""
+    return Interior(half_spaces(np.zeros((1, 3)), np.ones(1), np.zeros((1, 3))))
+
+
+def with_interior(obstacles: Obstacles) -> Obstacles:
+    """Return obstacles with a cloud of a workpiece and, if they lack it, the `Interior` rule, which is off.
+
+    On a CPU parts with and without an inlet thus share executables. The rule follows the others with `per_body`, so
+    that the numbers of these stay the same.
+    """
+    is_complete = any(isinstance(each, Interior) for each in obstacles)
+    if is_complete or not backend().is_cpu or not any(isinstance(each, Cloud) for each in obstacles):
+        return obstacles
+    return *obstacles, _without_facets()
 
 
 def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
