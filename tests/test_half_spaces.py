@@ -48,6 +48,13 @@ def test_the_facet_crossed_is_the_one_furthest_beyond():
     np.testing.assert_allclose(height[outside, facet[outside]], height.max(1)[outside], rtol=0, atol=1e-15)
 
 
+def test_without_a_facet_every_point_is_infinitely_deep_inside():
+    points, requested = jnp.asarray(RNG.normal(size=(50, 3))), jnp.ones(50, bool)
+    everywhere = half_spaces(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    assert (jax.jit(crossed_facets)(everywhere, points, requested) == -1).all()
+    assert (jax.jit(depths)(everywhere, points, requested) == np.inf).all()
+
+
 def test_a_point_not_asked_about_has_crossed_nothing():
     normal, offset = duct_hull()
     points = points_about(normal, offset, 200)

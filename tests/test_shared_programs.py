@@ -12,10 +12,12 @@ import toy
 from test_kept_executables import key_of, traced
 
 from htcp_jax.clearance import Scene, contacts, is_clear
+from htcp_jax.clearance.distance.half_spaces import half_spaces
 from htcp_jax.clearance.distance.solids import Box
 from htcp_jax.clearance.obstacles.cloud import cloud_of
 from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.obstacles import clearance_rows
+from htcp_jax.clearance.obstacles.of_workpiece import Interior, with_interior
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.cli import typical_jobs
 from htcp_jax.device.executor import QUICK
@@ -51,6 +53,11 @@ def test_arms_parts_and_cells_of_the_same_sizes_share_executables():
     arm, other = toy.robot(), another_arm()
     scenes = cell(arm, 20, 1, ((2, 0),)), cell(other, 3000, 3, ((3, 0), (3, 1)))
     assert all(len({key_of(each, scene=scene) for scene in scenes}) == 1 for each in (ADVANCE, PROVE))
+    cloud, solids, pairs = scenes[0].obstacles
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    interior = Interior(half_spaces(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6), corners))
+    inlets = Scene(arm, with_interior(scenes[0].obstacles)), Scene(arm, (cloud, solids, pairs, interior))
+    assert len({key_of(PROVE, scene=scene) for scene in inlets}) == 1
     few, many, more = (key_of(ADVANCE, scene=cell(arm, points, 1, ((2, 0),))) for points in (4096, 4097, 20_000))
     assert few != many == more
 
@@ -107,7 +114,8 @@ def test_the_reason_why_a_plan_fails_compiles_nothing_for_another_arm():
 def test_a_typical_arm_has_the_sizes_that_imported_arms_with_a_torch_have(joints):
     """As the KR 16-2, UR5e and iiwa 7, with meshes and four bodies of a torch: 15, 12 and 18 bodies."""
     robot = typical_jobs._arm(joints)
-    scene = Scene(robot, (SelfCollision(typical_jobs._pairs(robot)[: typical_jobs.PAIRS[joints]]),)).for_programs()
+    own_pairs = SelfCollision(typical_jobs._pairs(robot)[: typical_jobs.PAIRS[joints]])
+    scene = Scene(robot, (own_pairs,)).for_programs()
     bodies, pairs = (16, (128, 64, 8)) if joints == 6 else (24, (256, 128, 16))
     table = scene.obstacles[0].table
     assert (scene.robot.dof, len(scene.robot.capsule_link)) == (joints, bodies)

@@ -16,10 +16,11 @@ import trimesh
 
 from htcp_jax import jobs
 from htcp_jax.api import Plan
+from htcp_jax.clearance import Obstacles
 from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.io.robots import gp50
-from htcp_jax.model import Robot, Workpiece, body_pieces, kinematics, make_piece
+from htcp_jax.model import Robot, Scenario, Task, Workpiece, body_pieces, kinematics, make_piece
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
 from htcp_jax.reachability import obstruction
@@ -44,7 +45,8 @@ CELL = f"""<mujoco><worldbody><geom type="plane" size="0 0 1" pos="0 0 {-ASIDE_M
 def typical_plans(folder: Path, device: str | None) -> list[Plan]:
     """Return the plans of typical jobs, one for each number of joints in `BODIES`.
 
-    They are made at the same time, so that no core waits for the last function of one.
+    They are made at the same time, so that no core waits for the last function of one; so is what a failed plan
+    compiles to name the reason.
 
     Args:
         folder: An empty folder for the jobs' files.
@@ -53,9 +55,14 @@ def typical_plans(folder: Path, device: str | None) -> list[Plan]:
     arms = [_arm(joints) for joints in BODIES]
     _write_scene(folder, np.asarray(kinematics.tcp_pose(arms[0], jnp.asarray(AT_SEAM))))
     workpiece = jobs.build.workpiece_of(_job(folder, arms[0]).workpiece, arms[0])
-    pool = ThreadPoolExecutor(len(arms))
+    pool = ThreadPoolExecutor(len(arms) + 1)
     try:
-        return list(pool.map(lambda robot: _plan(_job(folder, robot), robot, workpiece, device), arms))
+        typical = [(_job(folder, robot), robot, workpiece, device) for robot in arms]
+        plans = [pool.submit(_plan, *own) for own in typical]
+        reasons = [pool.submit(_compile_reason, *own) for own in typical if own[1].dof == COMPLETE]
+        for reason in reasons:
+            reason.result()
+        return [plan.result() for plan in plans]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
@@ -68,15 +75,23 @@ def _job(folder: Path, robot: Robot) -> PlanConfig:
 
 
 def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | None) -> Plan:
-    scenario, task = jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot)
-    pairs = SelfCollision(_pairs(robot)[: PAIRS[robot.dof]])
-    obstacles = (*jobs.build.obstacles_of(job.cell, robot), pairs)
+    scenario, task, obstacles = _scene(job, robot, workpiece)
     execution = Execution(device, warm_up=("beam",) if robot.dof == COMPLETE else ())
     problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
-    if robot.dof == COMPLETE:
-        with devices.on(problem.devices[0]):  # what a failed plan compiles to name the reason
-            obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
     return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
+
+
+def _compile_reason(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | None) -> None:
+    """Compile what a failed plan needs to name the reason."""
+    scenario, task, obstacles = _scene(job, robot, workpiece)
+    with devices.on(devices.choose(device)[0]):
+        obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
+
+
+def _scene(job: PlanConfig, robot: Robot, workpiece: Workpiece) -> tuple[Scenario, Task, Obstacles]:
+    pairs = SelfCollision(_pairs(robot)[: PAIRS[robot.dof]])
+    obstacles = (*jobs.build.obstacles_of(job.cell, robot), pairs)
+    return jobs.build.scenario_of(job, robot, workpiece), jobs.build.task_of_job(job, robot), obstacles
 
 
 def _arm(joints: int) -> Robot:

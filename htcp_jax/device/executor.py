@@ -16,6 +16,7 @@ import numpy as np
 from htcp_jax.backend import Backend, compiled_for, default_device
 from htcp_jax.caching import cache_folder, program_key, source_key
 from htcp_jax.clearance import Scene
+from htcp_jax.clearance.obstacles import with_interior
 from htcp_jax.device import kept_executables
 from htcp_jax.device.compilations import COMPILATIONS
 from htcp_jax.device.devices import cores
@@ -208,7 +209,9 @@ class Executor:
     ):
         self.device = device or default_device()
         self._given, self._settings = scene, settings
-        self._scene = jax.device_put(scene.for_programs(), self.device)
+        # On a GPU a rule that is never broken would cost further launches.
+        known = scene._replace(obstacles=with_interior(scene.obstacles)) if self.pays_by_lane else scene
+        self._scene = jax.device_put(known.for_programs(), self.device)
         self._for_either = self._scene._replace(task=self._scene.task.for_either)
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None

@@ -194,12 +194,12 @@ def interior_plane_of(
 ) -> Float[np.ndarray, "4"]:
     """Return the plane beyond which capsule ends must lie inside the workpiece: its unit normal n and offset [m].
 
-    A point x in the world lies beyond the plane if n @ x > offset. If the part moves, or if the robot's base is beyond
-    the plane (next to the workpiece), the offset is infinite, which switches the rule off. For the paper's rule, along
-    the world's x, the base is not considered.
+    A point x in the world lies beyond the plane if n @ x > offset. If the part has no hull, if it moves, or if the
+    robot's base is beyond the plane (next to the workpiece), the offset is infinite, which switches the rule off. For
+    the paper's rule, along the world's x, the base is not considered.
     """
     plane = workpiece.interior_plane(T_world_workpiece)
-    if robot.part_moves:
+    if robot.part_moves or not len(workpiece.hull_offset):
         plane[3] = np.inf
         return plane
     fixed = np.asarray(robot.capsule_link) < 0

@@ -25,6 +25,7 @@ ROUNDING_M = 1e-5  # [m]; a 32-bit height is wrong by less than this within 20 m
 CORE_VERTICES = 96  # maximum number of vertices of the core
 FAN = 16  # facets in a row of the table: the argmax, ten times slower than a maximum, then covers fewer numbers
 CORE = np.array([1.0, 1.0, 1.0, -1.0])  # signs that turn Qhull's equations n @ x + d <= 0 into n @ x <= offset
+EVERYWHERE = np.array([[0.0, 0.0, 0.0, np.inf]])  # a facet that every point is infinitely deep below
 LEAST = 192, 1024  # minimum numbers of facets of a core and of a hull, with padding: few sizes let parts share programs
 BLOCK = 256  # facets per block of the kernel
 
@@ -45,20 +46,19 @@ class HalfSpaces(NamedTuple):
 def half_spaces(
     normal: Float[np.ndarray, "F 3"], offset: Float[np.ndarray, "F"], vertices: Float[np.ndarray, "V 3"]
 ) -> HalfSpaces:
-    """Return a convex set with F facets, and its core, as half-spaces.
+    """Return a convex set with F facets, and its core, as half-spaces; without a facet, the whole space.
 
     Args:
         normal: Unit outward normals of the facets.
         offset: Their offsets [m].
         vertices: Points of the set near its corners [m]; the core is the hull of some of them.
     """
-    core = _core(vertices) if len(offset) else np.zeros((0, 4))
-    every = core, np.column_stack([normal, offset])
+    known = (_core(vertices) * CORE, np.column_stack([normal, offset])) if len(offset) else (EVERYWHERE, EVERYWHERE)
     core, facets = (
-        with_repeated(each, padded_count(max(len(each), least))) for each, least in zip(every, LEAST, strict=True)
+        with_repeated(each, padded_count(max(len(each), least))) for each, least in zip(known, LEAST, strict=True)
     )
     table = with_repeated(facets, -(-len(facets) // FAN) * FAN).T.reshape(4, -1, FAN)
-    return jax.device_put(HalfSpaces(facets[:, :3], facets[:, 3], (core * CORE).T.astype(np.float32), table))
+    return jax.device_put(HalfSpaces(facets[:, :3], facets[:, 3], core.T.astype(np.float32), table))
 
 
 @cached_by_values(4)

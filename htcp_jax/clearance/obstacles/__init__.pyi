@@ -5,7 +5,7 @@ from .linearisation import Linearisation, TaskRows, linearise
 from .obstacle import Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
-from .of_workpiece import all_obstacles
+from .of_workpiece import all_obstacles, with_interior
 from .self_collision import RefusedPair, SelfCollision, make_self_collision, refused_pair
 from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
@@ -33,4 +33,5 @@ __all__ = [
     "self_exclusions",
     "surely_collides",
     "with_given",
+    "with_interior",
 ]

@@ -287,15 +287,12 @@ class Scene(NamedTuple):
         The number of bodies and that of pairs are padded to one of few, so that most arms with the same number of
         joints share executables. An arm in which joints follow others is not changed.
         """
-        from htcp_jax.clearance.obstacles.of_workpiece import with_interior  # here, as it imports this module
-
         own = self.without_labels()
         if own.robot.coupling is not None:
             return own
         robot = robots.for_programs(own.robot)
         count = len(robot.capsule_link)
-        padded = (each.for_programs(own.robot, count) for each in with_interior(own.obstacles))
-        return own._replace(robot=robot, obstacles=tuple(padded))
+        return own._replace(robot=robot, obstacles=tuple(each.for_programs(own.robot, count) for each in own.obstacles))
 
     def rows_within(self, padded: "Scene") -> Int[np.ndarray, "R"]:
         """Return the indices of the scene's rows among those of the same scene with padding, see `for_programs`."""

@@ -8,13 +8,11 @@ is found once and then fixed.
 """
 
 from dataclasses import dataclass
-from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from htcp_jax.backend import backend
 from htcp_jax.caching import cached_for_last
 from htcp_jax.clearance.distance.half_spaces import HalfSpaces, crossed_facets, depths, half_spaces
 from htcp_jax.clearance.distance.sweep import SweptCapsules
@@ -57,31 +55,25 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
     return cloud, Interior(half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices))
 
 
-@cache
-def _without_facets() -> "Interior":
-    """Return the rule of a workpiece that has no interior; the planes of its scenarios are infinitely far away."""
-    return Interior(half_spaces(np.zeros((1, 3)), np.ones(1), np.zeros((1, 3))))
-
-
 def with_interior(obstacles: Obstacles) -> Obstacles:
-    """Return obstacles with a cloud of a workpiece and, if they lack it, the `Interior` rule, which is off.
+    """Return obstacles with the `Interior` rule: if a workpiece has a cloud but no hull, one that is always fulfilled.
 
-    On a CPU parts with and without an inlet thus share executables. The rule follows the others with `per_body`, so
-    that the numbers of these stay the same.
+    Workpieces with and without an inlet can thus share executables, see `Scene.for_programs`.
     """
-    is_complete = any(isinstance(each, Interior) for each in obstacles)
-    if is_complete or not backend().is_cpu or not any(isinstance(each, Cloud) for each in obstacles):
+    kinds = {type(each) for each in obstacles}
+    if Cloud not in kinds or Interior in kinds:
         return obstacles
-    return *obstacles, _without_facets()
+    return *obstacles, Interior(half_spaces(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))))
 
 
 def all_obstacles(workpiece: Workpiece, others: Obstacles) -> Obstacles:
-    """Return one tuple of the workpiece's obstacles and other obstacles.
+    """Return one tuple of the workpiece's cloud, other obstacles and the workpiece's `Interior` rule, if it has them.
 
     Raises:
         InputError: If there are no obstacles at all.
     """
-    found = (*make_obstacle(workpiece), *others)
+    cloud_and_interior = make_obstacle(workpiece)
+    found = (*cloud_and_interior[:1], *others, *cloud_and_interior[1:])
     if not found:
         raise InputError("no obstacles: set workpiece.cloud, cell.model or cell.clouds, or cell.self_collision: true")
     return found
