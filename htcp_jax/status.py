@@ -56,7 +56,7 @@ _ENDED = {
     Status.QP_INFEASIBLE: "step QP infeasible",
     Status.ITERATION_LIMIT: "step QPs out of iterations",
     Status.RECOVERY_EXHAUSTED: "no clear configuration found",
-    Status.PATH_BLOCKED: "no clear segment found",
+    Status.PATH_BLOCKED: "no segment accepted",
     Status.QP_FAILED: "QP solver failed",
 }
 _MESSAGES = {
@@ -66,8 +66,8 @@ _MESSAGES = {
     Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target or the required clearance",
     Status.RECOVERY_EXHAUSTED: "no configuration was found that reaches the target with the required clearance",
     Status.PATH_BLOCKED: (
-        "every configuration that was found can only be reached by a segment that collides, comes nearer than the "
-        "margin, or leaves the path"
+        "configurations were found at the target, but every segment to them that was tried collides, comes nearer than "
+        "the margin, leaves the path, turns a joint too far, or is not proven"
     ),
     Status.QP_FAILED: "the QP solver failed and returned no solution",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",
