@@ -1,6 +1,7 @@
 """`htcp robot`: moving and frozen joints, the TCP, enclosing capsules; compared with MuJoCo's own reading."""
 
 import json
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -8,14 +9,17 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+import toy
 import trimesh
 from enclosed import are_enclosed
 
 import htcp_jax
 from htcp_jax.cli import main
+from htcp_jax.cli.robot import reach_text
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import mjcf
 from htcp_jax.io.robots.body_covers import BodyCover
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.viewer import draw_arm
@@ -252,11 +256,24 @@ def test_what_is_no_part_of_the_arm_is_left_out(folder):
     assert drawn.shapeless == () and drawn.covers[drawn.model.body("c").id].kinds == ("ellipsoid",)
 
 
+def test_the_reach_and_the_longest_capsule_are_stated_and_lengths_in_millimetres_named(tmp_path):
+    found = "the TCP is at most 1 m from the first joint; the longest capsule, forearm, is 0.42 m long"
+    assert reach_text(toy.robot()) == found
+
+    def in_mm(lengths: re.Match) -> str:
+        return f'{lengths[1]}="{" ".join(str(1000 * float(each)) for each in lengths[2].split())}"'
+
+    (tmp_path / "mm.xml").write_text(re.sub(r'(pos|size|fromto)="(.*?)"', in_mm, toy.ARM))
+    with pytest.warns(UserWarning, match="at most 1e.03 m .* is 420 m long: lengths seem to be in millimetres"):
+        reach_text(load_robot(tmp_path / "mm.xml"))
+
+
 def test_a_joint_that_is_drawn_turned_stays_so(folder, tmp_path, capsys):
     out = tmp_path / "arm.xml"
     assert main(["robot", str(folder / "mixed.xml"), "--out", str(out), "--json", "--most", "1"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["TCP"] == "flange" and answer["files"] == [str(out), str(tmp_path / "arm.png")]
+    assert answer["reach"].startswith("the TCP is at most ")
     assert [row["own"] for row in answer["bodies"]] == [0, 2, 0]
     model, arm = mujoco_reading(folder / "mixed.xml"), htcp_jax.load_robot(out)
     data = mujoco.MjData(model)
