@@ -155,8 +155,8 @@ def test_a_standing_body_in_the_part_is_named_before_planning(job):
     with pytest.raises(InputError) as error:
         check_start(*scene(load_config({**job, "start_rad": toy.START})))
     inside = "capsule foot is 30.000 mm inside the workpiece"
-    always = f"{inside}, in every configuration, because neither moves: move one of them"
-    assert str(error.value) == f"{PLACE}start is in collision: {always}"
+    always = f"{inside}; neither of the two moves: move one of them"
+    assert str(error.value) == f"{PLACE}no configuration is clear: {always}"
 
 
 @pytest.mark.slow
