@@ -74,8 +74,10 @@ def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | Non
     execution = Execution(device, warm_up=("beam",) if robot.dof == COMPLETE else ())
     problem = Problem.of(robot, workpiece, scenario, job.settings, task, obstacles, execution)
     if robot.dof == COMPLETE:
-        with devices.on(problem.devices[0]):  # what a failed plan compiles to name the reason
-            obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
+        away = ASIDE_M * (np.arange(scenario.goals.shape[1]) < 3)
+        far = dataclasses.replace(scenario, task_goals=scenario.goals + away)
+        with devices.on(problem.devices[0]):  # what a failed plan compiles to name the reason, also out of reach
+            obstruction.obstruction(robot, workpiece, far, far.x_start, 0, job.settings, obstacles, task)
     return Plan(job, robot, workpiece, scenario, batch.plan(problem), obstacles, device)
 
 
