@@ -55,7 +55,7 @@ NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 _ENDED = {
     Status.QP_INFEASIBLE: "step QP infeasible",
     Status.ITERATION_LIMIT: "step QPs out of iterations",
-    Status.RECOVERY_EXHAUSTED: "no clear configuration found",
+    Status.RECOVERY_EXHAUSTED: "no configuration accepted",
     Status.PATH_BLOCKED: "no segment accepted",
     Status.QP_FAILED: "QP solver failed",
 }
@@ -64,7 +64,7 @@ _MESSAGES = {
     Status.TRACKED_AFTER_RECOVERY: "tracked after a recovery",
     Status.QP_INFEASIBLE: "the step QP is infeasible: no step satisfies the clearance, progress and limit constraints",
     Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target or the required clearance",
-    Status.RECOVERY_EXHAUSTED: "no configuration was found that reaches the target with the required clearance",
+    Status.RECOVERY_EXHAUSTED: "the search found no configuration that reaches the target with the required clearance",
     Status.PATH_BLOCKED: (
         "configurations were found at the target, but every segment to them that was tried collides, comes nearer than "
         "the margin, leaves the path, turns a joint too far, or is not proven"
