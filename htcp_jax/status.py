@@ -55,8 +55,8 @@ NOT_TRIED = Status.START_IN_COLLISION, Status.OUT_OF_REACH, *AT_HOME
 _ENDED = {
     Status.QP_INFEASIBLE: "step QP infeasible",
     Status.ITERATION_LIMIT: "step QPs out of iterations",
-    Status.RECOVERY_EXHAUSTED: "no clear configuration found",
-    Status.PATH_BLOCKED: "no clear segment found",
+    Status.RECOVERY_EXHAUSTED: "no configuration accepted",
+    Status.PATH_BLOCKED: "no segment accepted",
     Status.QP_FAILED: "QP solver failed",
 }
 _MESSAGES = {
@@ -64,10 +64,10 @@ _MESSAGES = {
     Status.TRACKED_AFTER_RECOVERY: "tracked after a recovery",
     Status.QP_INFEASIBLE: "the step QP is infeasible: no step satisfies the clearance, progress and limit constraints",
     Status.ITERATION_LIMIT: "the step QPs reached their iteration limit before the target or the required clearance",
-    Status.RECOVERY_EXHAUSTED: "no configuration was found that reaches the target with the required clearance",
+    Status.RECOVERY_EXHAUSTED: "the search found no configuration that reaches the target with the required clearance",
     Status.PATH_BLOCKED: (
-        "every configuration that was found can only be reached by a segment that collides, comes nearer than the "
-        "margin, or leaves the path"
+        "configurations were found at the target, but every segment to them that was tried collides, comes nearer than "
+        "the margin, leaves the path, turns a joint too far, or is not proven"
     ),
     Status.QP_FAILED: "the QP solver failed and returned no solution",
     Status.NOT_ATTEMPTED: "not attempted, because an earlier target of the scenario failed",

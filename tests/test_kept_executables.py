@@ -185,6 +185,22 @@ def test_files_that_were_not_used_for_the_longest_time_are_removed(folder, monke
     assert (folder / "thesis.txt").exists()
 
 
+def test_the_size_of_the_folder_is_measured_at_the_first_write_and_when_a_sixteenth_of_the_limit_is_written(
+    folder, monkeypatch
+):
+    monkeypatch.setattr(cache_folder, "MOST_BYTES", 100_000)
+    large = folder / "jit_large-cache"
+
+    def write(count: int) -> bool:
+        """Write a file next to another one that is too large; return True if the large one is removed."""
+        large.write_bytes(bytes(120_000))
+        os.utime(large, (1e8, 1e8))
+        cache_folder.write(f"{count}", bytes(count))
+        return not large.exists()
+
+    assert [write(count) for count in (1000, 2000, 3000, 4000, 5000)] == [True, False, False, True, False]
+
+
 def key_of(lane_function, settings=toy.SETTINGS, tables=(), scene=None):
     leaves, structure = jax.tree.flatten(((scene or toy.scene()).for_programs(), *tables))
     shapes = tuple((np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves)

@@ -261,6 +261,8 @@ def test_the_command_writes_the_prefixes_and_refuses_a_resolution_of_nothing(tmp
     words = ["reachability", str(tmp_path / "grid.yaml"), "--limit", "1", "--resolution", "0.9", "--proof-cells", "0"]
     words += ["--out", str(tmp_path / "run")]
     assert main(words) == 0
-    assert "lower bound" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "are reachable: those before the first one, in each scenario, at which no configuration was found" in said
+    assert "at most: those before the first one that is proven to be unreachable" in said
     assert (tmp_path / "run" / "reachability.json").exists()
     assert main([*words[:5], "0"]) == 2 and main([*words[:7], "-1"]) == 2

@@ -78,7 +78,10 @@ def test_a_proven_segment_below_the_aim_is_named_and_the_suggested_setting_gets_
     for s, each in found.items():
         assert each.margin_m <= each.end_clearance_m < each.margin_m + 0.03
         assert "between the" in failure_texts.aim(each, job)["clearance there"]
+        assert each.description("").endswith(", but the search did not use it")
         end = plans.outcome(s)
+        assert end.status.ended in ("no configuration accepted", "no segment accepted")
+        assert "accepted" in failure_texts.reason(end, each) and "clear" in failure_texts.reason(end, each)
         assert further.outcome(s).tracked > end.tracked
         line = failure_texts.next_step(end, each, {}, job, "my job.yaml")["next"]
         assert line.startswith("htcp plan my job.yaml --set settings.beam_aim_m=0 ")

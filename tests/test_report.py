@@ -456,7 +456,7 @@ def test_an_unfinished_run_is_reported_as_far_as_it_is(folder, tmp_path):
     report = make_report([tmp_path / "half"])
     first, second = report.parts
     assert rows_of(tables.results(first))["hybrid"]["scenarios"] == 1
-    assert "Scenarios still to plan: hybrid 4, keep-clear 5." in " ".join(part_facts(second))
+    assert "Scenarios still to plan: hybrid: 4, keep-clear: 5." in " ".join(part_facts(second))
     assert list(second.plans) == ["baseline"]
 
 

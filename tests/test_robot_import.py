@@ -1,20 +1,25 @@
 """`htcp robot`: moving and frozen joints, the TCP, enclosing capsules; compared with MuJoCo's own reading."""
 
 import json
+import re
+from itertools import combinations
 from pathlib import Path
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+import toy
 import trimesh
 from enclosed import are_enclosed
 
 import htcp_jax
 from htcp_jax.cli import main
+from htcp_jax.cli.robot import reach_text
 from htcp_jax.errors import InputError
 from htcp_jax.io.robots import mjcf
 from htcp_jax.io.robots.body_covers import BodyCover
+from htcp_jax.io.robots.loading import load_robot
 from htcp_jax.io.robots.vendor_import import import_robot
 from htcp_jax.model.kinematics import tcp_pose
 from htcp_jax.viewer import draw_arm
@@ -155,10 +160,23 @@ def test_capsules_hold_meshes_boxes_and_cylinders_of_a_urdf(folder):
     assert all((capsule.depth(points) > 0).all() for points in whole for capsule in found["mast"].fitted.values())
 
 
-def test_both_views_of_an_imported_arm_have_numbers_on_the_vertical_axis(folder):
-    arm = import_robot(folder / "crane.urdf", "grasp", most=1)
-    views = draw_arm(arm, mjcf.arm_xml(arm, "crane.urdf"), "crane").axes[:2]
-    assert [axes.yaxis.get_tick_params()["labelleft"] for axes in views] == [True, True]
+def test_all_views_of_a_narrow_arm_have_whole_numbers_and_labels_on_both_axes_which_do_not_overlap(folder):
+    (folder / "narrow.urdf").write_text(URDF.replace('size="0.2 0.3 0.1"', 'size="0.2 0.1 0.1"'))
+    arm = import_robot(folder / "narrow.urdf", "grasp", most=1)
+    figure = draw_arm(arm, mjcf.arm_xml(arm, "narrow.urdf"), "narrow")
+    figure.canvas.draw()
+    axes = [axis for view in figure.axes[:4] for axis in (view.xaxis, view.yaxis)]
+    for axis in axes:
+        low, high = sorted(axis.get_view_interval())
+        numbers = [
+            text
+            for text in axis.get_ticklabels()
+            if low <= float(text.get_text().replace("\N{MINUS SIGN}", "-")) <= high
+        ]
+        boxes = [text.get_window_extent() for text in (*numbers, axis.label)]
+        assert numbers and all(text.get_visible() for text in numbers)
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+        assert all(0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
 
 
 def test_the_lower_views_show_the_convex_pieces_which_are_as_large_as_the_mesh(folder):
@@ -238,11 +256,24 @@ def test_what_is_no_part_of_the_arm_is_left_out(folder):
     assert drawn.shapeless == () and drawn.covers[drawn.model.body("c").id].kinds == ("ellipsoid",)
 
 
+def test_the_reach_and_the_longest_capsule_are_stated_and_lengths_in_millimetres_named(tmp_path):
+    found = "the TCP is at most 1 m from the first joint; the longest capsule, forearm, is 0.42 m long"
+    assert reach_text(toy.robot()) == found
+
+    def in_mm(lengths: re.Match) -> str:
+        return f'{lengths[1]}="{" ".join(str(1000 * float(each)) for each in lengths[2].split())}"'
+
+    (tmp_path / "mm.xml").write_text(re.sub(r'(pos|size|fromto)="(.*?)"', in_mm, toy.ARM))
+    with pytest.warns(UserWarning, match="at most 1e.03 m .* is 420 m long: lengths seem to be in millimetres"):
+        reach_text(load_robot(tmp_path / "mm.xml"))
+
+
 def test_a_joint_that_is_drawn_turned_stays_so(folder, tmp_path, capsys):
     out = tmp_path / "arm.xml"
     assert main(["robot", str(folder / "mixed.xml"), "--out", str(out), "--json", "--most", "1"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["TCP"] == "flange" and answer["files"] == [str(out), str(tmp_path / "arm.png")]
+    assert answer["reach"].startswith("the TCP is at most ")
     assert [row["own"] for row in answer["bodies"]] == [0, 2, 0]
     model, arm = mujoco_reading(folder / "mixed.xml"), htcp_jax.load_robot(out)
     data = mujoco.MjData(model)

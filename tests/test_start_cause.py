@@ -8,11 +8,12 @@ import toy
 from test_cell_fixtures import ARM
 
 import htcp_jax
+from htcp_jax import api
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config
 from htcp_jax.jobs.build import scene
-from htcp_jax.model import Task, Workpiece
+from htcp_jax.model import Task, Workpiece, surface
 from htcp_jax.model.scenario import stack, without_pose
 from htcp_jax.model.scenario_setup import make_scenario
 from htcp_jax.motion import Plans, Problem
@@ -73,6 +74,22 @@ def test_a_point_that_is_reached_with_less_than_the_margin_alone_names_the_large
         f"200 mm; {NO_PROOF}"
     )
     assert 0 < float(re.fullmatch(said, found.description)[1]) < 150
+    assert found.attempt.depth_m == found.depth_m and found.attempt.other == "the workpiece"
+
+
+def test_a_start_that_lacks_less_than_the_points_on_the_mesh_cost_names_denser_points():
+    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME, "covering_radius_m": 0.01}
+    part = Workpiece("part", around(POINT, 0.15), np.array([POINT, POINT + 1e-3]), **choices)
+    scenario = make_scenario(toy.robot(), part, None, rotation=(0.0, 0.0), approach=(0, 0), margin_m=0.006)
+    plans = Plans.empty(scenario.x_start[None], scenario.targets[None])
+    plans.status[0, 0] = Status.NO_START
+    job = load_config(None, {"margin_m": 0.006, "start_rad": "auto", "settings": toy.SETTINGS})
+    found = api.Plan(job, toy.robot(), part, scenario, plans)
+    assert 0 < found.start_cause.attempt.depth_m + 0.006 < 0.01
+    facts = found.failure()
+    assert "without collision, but with a clearance of at most" in facts["cause"]
+    assert facts["points on the mesh"].endswith("are lacking here: denser points may suffice")
+    assert f"--set {surface.KEY}=" in facts["next"]
 
 
 def test_the_pair_with_the_minimum_clearance_is_named():
@@ -138,8 +155,8 @@ def test_a_standing_body_in_the_part_is_named_before_planning(job):
     with pytest.raises(InputError) as error:
         check_start(*scene(load_config({**job, "start_rad": toy.START})))
     inside = "capsule foot is 30.000 mm inside the workpiece"
-    always = f"{inside}, in every configuration, because neither moves: move one of them"
-    assert str(error.value) == f"{PLACE}start is in collision: {always}"
+    always = f"{inside}; neither of the two moves: move one of them"
+    assert str(error.value) == f"{PLACE}no configuration is clear: {always}"
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 import toy
 
 from htcp_jax.cli import main
+from htcp_jax.cli.sweep import not_tried
 from htcp_jax.errors import InputError, Interrupted
 from htcp_jax.jobs.grid import load_sweep
 from htcp_jax.motion import Plans, Problem
@@ -19,6 +20,7 @@ from htcp_jax.planning.method import Method
 from htcp_jax.runs import Run, RunningSummary, open_run
 from htcp_jax.runs.summary import Summary, summarise
 from htcp_jax.runs.sweep import sweep
+from htcp_jax.status import Status
 
 GRID = """
 config: job.yaml
@@ -394,3 +396,10 @@ def test_the_command_s_table_needs_none_of_the_files_that_it_wrote(small, monkey
     monkeypatch.setattr(os, "replace", damaging)
     assert main(["sweep", "grid.yaml", "--methods", "baseline", "--out", "out"]) == 0
     assert "24" in capsys.readouterr().out  # targets: three scenarios of 8
+
+
+def test_scenarios_that_were_not_tried_are_counted_by_reason():
+    first = [Status.NO_START] * 4 + [Status.HOME_IN_COLLISION, Status.TRACKED]
+    status = np.stack([first, [Status.NOT_ATTEMPTED] * 5 + [Status.TRACKED]], axis=1)
+    assert not_tried(status) == "home in collision: 1 scenario, no start: 4 scenarios"
+    assert not_tried(status[-1:]) == ""

@@ -33,6 +33,7 @@ OF_JAX = "-cache", "-atime"  # suffixes of the names of JAX's files
 UNLOCKED = 46  # digits of a program's name that its lock file omits
 STORED = "executables"  # subfolder of the cache folder with executables and results
 MOST_BYTES = 2**30  # maximum size of all files; if it is exceeded, the files unused for the longest time are removed
+UNSEEN = 16  # the size is measured at a process's first write, and again when it has written this part of MOST_BYTES
 OTHERS_WRITE, OTHERS_ANY = 0o022, 0o077  # permissions of group and others
 DIGEST = 32  # bytes of the digest at the beginning of a stored file
 UNREADABLE = "Error reading persistent compilation cache entry"  # how JAX's warning about a damaged file begins
@@ -101,6 +102,9 @@ def _is_closed(path: Path, mode: int) -> bool:
     return not hasattr(os, "geteuid") or not stat.S_IMODE(os.stat(path).st_mode) & mode
 
 
+_unseen_bytes: dict[Path, int] = {}  # written by this process since the size of a folder was measured
+
+
 def read(key: str) -> bytes | None:
     """Return the content stored under a key; None if its file is missing or damaged."""
     try:
@@ -136,7 +140,10 @@ def write(key: str, content: bytes) -> bool:
             stream.write(_digest(key, content) + content)
             stream.flush()
             os.replace(name, place / key)
-        _remove_oldest(place.parent)
+        _unseen_bytes[place] = _unseen_bytes.get(place, MOST_BYTES) + DIGEST + len(content)
+        if _unseen_bytes[place] > MOST_BYTES // UNSEEN:
+            _remove_oldest(place.parent)
+            _unseen_bytes[place] = 0
     except OSError:
         return False
     return True
@@ -162,7 +169,7 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 def _remove_oldest(place: Path) -> None:
-    """Remove files of JAX and of this package from the cache folder until they have at most MOST_BYTES.
+    """Remove files of JAX and of this package until MOST_BYTES suffice for them and for what is written unseen.
 
     Files that were unused for the longest time are removed first. Other files are kept.
     """
@@ -174,7 +181,7 @@ def _remove_oldest(place: Path) -> None:
                 found.append((max(known.st_atime, known.st_mtime), known.st_size, each.path))
     total = sum(size for _, size, _ in found)
     for _, size, path in sorted(found):
-        if total <= MOST_BYTES:
+        if total <= MOST_BYTES - MOST_BYTES // UNSEEN:
             return
         with contextlib.suppress(OSError):
             os.unlink(path)

@@ -192,7 +192,7 @@ def _seams(found: PlacementResult) -> dict[str, str]:
     if len(seams) == 1:
         ((_, best),) = seams.values()
         return {} if found.complete or found.mountings else {"best": f"{100 * best:.1f} % of the targets"}
-    facts = {"each seam alone": ", ".join(f"{name} {count:,}" for name, (count, _) in seams.items())}
+    facts = {"each seam alone": ", ".join(f"{name}: {count:,}" for name, (count, _) in seams.items())}
     if not found.complete and not found.mountings:
         lost = [f"{name} ({100 * share:.1f} % of it)" for name, (_, share) in seams.items() if share < 1]
         facts["best"] = f"{len(seams) - len(lost)} of {len(seams)} seams; prevented by {', '.join(lost)}"

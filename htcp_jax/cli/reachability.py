@@ -168,12 +168,14 @@ def _away(scenarios: Scenario, targets: np.ndarray) -> np.ndarray:
 
 
 def _print_bounds(name: str, batch: Batch, found: Reachability, record: dict, out: Path) -> None:
-    targets, reachable, most = record["targets"], int(found.prefix.sum()), int(found.most.sum())
+    targets, counts = record["targets"], [int(each.sum()) for each in (found.prefix, found.most)]
     complete = int((found.prefix == batch.scenarios.count).sum())
+    reachable, most = (f"{count:,} of {targets:,} targets ({100 * count / targets:.2f} %)" for count in counts)
     rows = {
-        "lower bound": f"{reachable:,} of {targets:,} targets, {100 * reachable / targets:.2f} %",
-        "complete": f"{complete:,} of {len(found.prefix):,} scenarios",
-        "upper bound": f"{most:,} targets, {100 * most / targets:.2f} %; the others are proven to be unreachable",
+        "lower bound": f"{reachable} are reachable: those before the first one, in each scenario, at which no "
+        "configuration was found",
+        "upper bound": f"{most} at most: those before the first one that is proven to be unreachable",
+        "complete": f"{complete:,} of {len(found.prefix):,} scenarios: a configuration was found at every target",
         "resolution": "none: the task does not fix the TCP, so configurations spread over the joint limits were tried"
         if (resolution := record["resolution_rad"]) is None
         else f"tool orientations every {resolution:.3g} rad",
@@ -183,7 +185,7 @@ def _print_bounds(name: str, batch: Batch, found: Reachability, record: dict, ou
         reached = {seam: [0, 0] for seam in record["seams"]}
         for seam, prefix, count in zip(record["seams"], record["prefix"], batch.scenarios.count.tolist(), strict=True):
             reached[seam] = [reached[seam][0] + prefix, reached[seam][1] + count]
-        rows["by seam"] = ", ".join(f"{seam} {count:,} of {of:,}" for seam, (count, of) in reached.items())
+        rows["by seam"] = ", ".join(f"{seam}: {count:,} of {of:,}" for seam, (count, of) in reached.items())
     print_facts(name, rows)
     for method, scenarios in record["beaten_by"].items():
         text = f"{method} tracked more targets than the lower bound in scenarios "

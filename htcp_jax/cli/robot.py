@@ -2,6 +2,7 @@
 
 import math
 import os
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,11 +16,12 @@ from htcp_jax.cli.quantities import LENGTHS, quantity
 from htcp_jax.errors import InputError
 from htcp_jax.io import robots
 from htcp_jax.io.robots import Listed, arm_xml, capsule_fit, close_fit, fixed_text, follower_text, shapes_label
-from htcp_jax.model import Robot
+from htcp_jax.model import Robot, kinematics
 from htcp_jax.report import Table
 from htcp_jax.runs import columns
 from htcp_jax.system import output_files
 
+LARGEST_M = 100.0  # larger arms are usually in millimetres
 COLUMNS = "body", "own", "fitted", "volume_ratio", "excess_mm", "outside_mm", "shapes"
 
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="URDF or MJCF file, with its meshes next to it.")]
@@ -258,6 +260,7 @@ def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[
         **({} if arm.part is None else {"part": arm.part, "chain": robots.chain_text(arm)}),
         "joints": made.joint_names,
         **_limits(made),
+        **({"reach": reach_text(made)} if arm.part is None else {}),
         **({"followers": follower_text(arm)} if arm.followers else {}),
         "frozen": arm.frozen,
         "fixed": fixed_text(arm),
@@ -265,6 +268,18 @@ def _robot_facts(arm: robots.ImportedArm, made: Robot) -> dict[str, str | tuple[
         "excluded": arm.excluded,
         **({"omitted": arm.omitted} if arm.omitted else {}),
     }
+
+
+def reach_text(made: Robot) -> str:
+    """Return text about the arm's reach and its longest capsule; warn if one seems to be in millimetres."""
+    p, q, radius = (np.asarray(each) for each in (made.capsule_p, made.capsule_q, made.capsule_radius))
+    reach_m, lengths_m = kinematics.max_reach(made), np.linalg.norm(q - p, axis=1) + 2 * radius
+    text = f"the TCP is at most {reach_m:.3g} m from the first joint"
+    if len(lengths_m):
+        text += f"; the longest capsule, {made.capsule_names[int(lengths_m.argmax())]}, is {lengths_m.max():.3g} m long"
+    if LARGEST_M < max(reach_m, lengths_m.max(initial=0.0)) < math.inf:
+        warnings.warn(f"{made.name}: {text}: lengths seem to be in millimetres", stacklevel=2)
+    return text
 
 
 def _limits(made: Robot) -> dict[str, str]:

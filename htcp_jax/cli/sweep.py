@@ -32,7 +32,7 @@ from htcp_jax.cli.timing import check_feed, print_timing, timed, timing_records
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep, seeded
 from htcp_jax.report import Table, result_row
-from htcp_jax.runs import Run, RunningSummary, columns, plan_folder, summary
+from htcp_jax.runs import Run, RunningSummary, columns, labels, plan_folder, summary
 from htcp_jax.runs import sweep as sweeps
 from htcp_jax.status import NOT_TRIED
 
@@ -224,7 +224,7 @@ def _print_table(run: Run, running: RunningSummary) -> None:
         requested = _margin_text(running.margins_m(run, *plans))
         text = f"Tracked: reached with the required clearance of {requested} mm or more."
         console.print(Text(text, style="dim"))
-    for text in dict.fromkeys(_not_tried(whole.status) for whole in plans.values()):
+    for text in dict.fromkeys(not_tried(whole.status) for whole in plans.values()):
         if text:
             console.print(Text.assemble(("not tried  ", "yellow"), text))
     for method, count in run.unfinished().items():
@@ -239,7 +239,9 @@ def _margin_text(requested_m: np.ndarray) -> str:
     return f"{requested[0]:g}" if len(requested) == 1 else f"{requested[0]:g} to {requested[-1]:g}"
 
 
-def _not_tried(status: np.ndarray) -> str:
+def not_tried(status: np.ndarray) -> str:
     """Return text with the number of scenarios that were not planned, by reason; "" if all were planned."""
     counts = {reason: int((status == reason).sum()) for reason in NOT_TRIED}
-    return ", ".join(f"{reason.words} {count:,}" for reason, count in counts.items() if count)
+    return ", ".join(
+        f"{reason.words}: {labels.counted(count, 'scenario')}" for reason, count in counts.items() if count
+    )

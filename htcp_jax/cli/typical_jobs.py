@@ -82,10 +82,12 @@ def _plan(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | Non
 
 
 def _compile_reason(job: PlanConfig, robot: Robot, workpiece: Workpiece, device: str | None) -> None:
-    """Compile what a failed plan needs to name the reason."""
+    """Compile what a failed plan needs to name the reason, also of a target out of reach."""
     scenario, task, obstacles = _scene(job, robot, workpiece)
+    away = ASIDE_M * (np.arange(scenario.goals.shape[1]) < 3)
+    far = dataclasses.replace(scenario, task_goals=scenario.goals + away)
     with devices.on(devices.choose(device)[0]):
-        obstruction.obstruction(robot, workpiece, scenario, scenario.x_start, 0, job.settings, obstacles, task)
+        obstruction.obstruction(robot, workpiece, far, far.x_start, 0, job.settings, obstacles, task)
 
 
 def _scene(job: PlanConfig, robot: Robot, workpiece: Workpiece) -> tuple[Scenario, Task, Obstacles]:

@@ -307,8 +307,8 @@ def _beyond_reach(robot: Robot, targets: Float[np.ndarray, "T 3"]) -> str:
     """Return text that names the first target beyond reach."""
     far, longest = _distances(robot, targets), max_reach(robot)
     first, *more = np.flatnonzero(far > longest)
-    others = f", {len(more)} other targets are too far, too" if more else ""
+    others = f"; {len(more)} more target{' is' if len(more) == 1 else 's are'} out of reach" if more else ""
     return (
-        f"target {first} is {far[first]:.3f} m from the robot's base; {robot.name} reaches {longest:.3f} m at most"
+        f"target {first} is {far[first]:.3f} m from the robot's base, but {robot.name} reaches at most {longest:.3f} m"
         f"{others}"
     )

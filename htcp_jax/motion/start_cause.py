@@ -33,7 +33,7 @@ NEAR, NEAR_RAD = 1024, (0.01, 3.0)  # random configurations near one in collisio
 
 
 class Attempt(NamedTuple):
-    """The sampled configuration at the first target with the least overlap."""
+    """The sampled configuration at the first target with the least overlap, or without one the largest clearance."""
 
     x: Float[np.ndarray, "N"]  # [rad or m]
     body: str  # name of the capsule with the deepest overlap at x
@@ -59,7 +59,7 @@ class StartCause(NamedTuple):
     other: str | None = None  # name of the obstacle
     depth_m: float = float("nan")  # depth of the overlap, the least of several; negative: the largest clearance
     always: bool = False  # True if the pair overlaps in every configuration
-    attempt: Attempt | None = None  # the attempt with the least overlap, if all attempts collide
+    attempt: Attempt | None = None  # the best attempt, if all attempts lack clearance
 
     @property
     def unproven(self) -> "StartCause":
@@ -233,35 +233,36 @@ def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:
     at = checker.states(inputs, checker.project(inputs, drawn))
     reached, attempts = task.reached(at.residual), f"{len(drawn)} random attempts"
     if not reached.any():
-        best = np.array([np.argmin(at.residual)])
-        one = tables.gather(inputs, best)
-        (off,), (angle,), _ = task_errors(problem.robot, task, one, at.x[best], one.target)
+        nearest = np.array([np.argmin(at.residual)])
+        one = tables.gather(inputs, nearest)
+        (off,), (angle,), _ = task_errors(problem.robot, task, one, at.x[nearest], one.target)
         turned = f" and {np.rad2deg(angle):.3g} deg" if angle else ""
         text = f"in {attempts} the arm came only to within {mm_text(off)}{turned} of the point"
-        return StartCause(text + _at_limits(problem.robot, at.x[best[0]]))
+        return StartCause(text + _at_limits(problem.robot, at.x[nearest[0]]))
     found = _measured(problem, s, at.x[reached])
-    least = found.distance.min(axis=1)
+    least, deepest = found.distance.min(axis=1), found.distance.argmin(axis=1)
+    k = int(least.argmax())
+    best = _attempt(found, int(deepest[k]), k)
     if clear := int((least > 0).sum()):
         valid = checker.valid(tables.gather(inputs, reached), tables.gather(at, reached))
         if valid.any():
             return StartCause(f"no start was found in {attempts}")
-        margin_m, most_m = float(scenarios.margin_m[s]), float(least.max())
+        margin_m, most_m = float(scenarios.margin_m[s]), float(least[k])
         lacks = f"a clearance of at most {mm_text(most_m)}, less than the margin of {mm_text(margin_m)}"
         if most_m >= margin_m:
             lacks = f"less than the margin of {mm_text(margin_m)}, or with the tool's bare tip in a wall"
         text = f"in {clear} of {attempts} the arm reached the point without collision, but with {lacks}"
-        return StartCause(text, depth_m=-most_m)
-    deepest = found.distance.argmin(axis=1)
+        return StartCause(text, depth_m=-most_m, attempt=best if most_m < margin_m else None)
     tried = Counter(deepest.tolist()).most_common(NAMED)
     pairs = [(row, found.other(row, int(np.argmax(deepest == row))), count) for row, count in tried]
     named = [f"{found.label(row)} with {other} ({count})" for row, other, count in pairs]
     row, other, _ = pairs[0]
-    k, depth_m = int(least.argmax()), -float(least.max())
+    depth_m = -float(least[k])
     text = (
         f"{len(least)} of {attempts} reached the point, all in collision, the least by {mm_text(depth_m)}: "
         f"{', '.join(named)}"
     )
-    return StartCause(text, found.body(row), other, depth_m, attempt=_attempt(found, int(deepest[k]), k))
+    return StartCause(text, found.body(row), other, depth_m, attempt=best)
 
 
 def _at_limits(robot: Robot, x: Float[np.ndarray, "N"]) -> str:

@@ -65,7 +65,7 @@ def start_contact(
 
 
 def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacles: Obstacles = ()) -> None:
-    """Check that neither the home nor the start is in collision.
+    """Check that neither the home nor the start is in collision, and that no fixed body is.
 
     Args:
         robot: The arm with its tool.
@@ -79,9 +79,10 @@ def check_start(robot: Robot, workpiece: Workpiece, scenario: Scenario, obstacle
     for what, x in begins_at(scenario).items():
         D, body, other, fixed = start_contact(robot, workpiece, scenario, x, obstacles, fixed_first=True)
         if D <= 0:
-            always = ", in every configuration, because neither moves: move one of them" if fixed else ""
+            where = "no configuration is clear" if fixed else f"{what} is in collision"
+            remedy = "; neither of the two moves: move one of them" if fixed else ""
             place = scenario_functions.without_pose(scenario.T_world_workpiece) if "workpiece" in other else ""
-            raise InputError(f"{place}{what} is in collision: {body} is {-1e3 * D:.3f} mm inside {other}{always}")
+            raise InputError(f"{place}{where}: {body} is {-1e3 * D:.3f} mm inside {other}{remedy}")
 
 
 def begins_at(scenario: Scenario) -> dict[str, Float[np.ndarray, "N"]]:

@@ -25,7 +25,7 @@ LEAVES = SegmentStatus.OFF_PATH, SegmentStatus.REVERSES  # verdicts about the to
 class RefusedSegment(NamedTuple):
     """The path to a lost target that violates the least, of those that were measured."""
 
-    verdict: SegmentStatus  # of the proof; VALID: the path is a proven motion, which the search did not accept
+    verdict: SegmentStatus  # of the proof; VALID: the path is a proven motion, which the search did not use
     counts: dict[SegmentStatus, int]  # number of measured paths with each verdict
     share: float  # place of the worst violation, as a share of the path
     x: Float[np.ndarray, "N"]  # configuration there [rad or m]
@@ -49,9 +49,8 @@ class RefusedSegment(NamedTuple):
         """
         place = "at its end" if self.share == 1 else f"at {100 * self.share:.0f} % of it"
         if self.verdict == SegmentStatus.VALID:
-            return (
-                f"a proven segment leads there, with a clearance of {mm_text(self.clearance_m)}, but was not accepted"
-            )
+            clearance = mm_text(self.clearance_m)
+            return f"a proven segment leads there, with a clearance of {clearance}, but the search did not use it"
         if self.verdict == SegmentStatus.REVERSES:
             what = "moves the tool backwards along the path"
         elif self.leaves_path and self.off_m > self.tube_m:

@@ -129,18 +129,20 @@ def obstructions(
     place, goals = measured_rows.Placement.of(where), np.asarray(goals, float)
     executor = Executor(Scene(robot, (), task), settings)
     brought, residual = executor(BRING, place, np.asarray(x_last, float), goals)
-    errors, is_reached = measured_rows.task_errors(robot, task, place, brought, goals), task.reached(residual)
+    is_reached = task.reached(residual)
     measured, found = measured_rows.MeasuredRows(robot, obstacles, place, brought), []
     for k, (x, off, reached) in enumerate(zip(brought, residual.tolist(), is_reached.tolist(), strict=True)):
         row = int(measured.distance[k].argmin())
         body, point, depth_m = measured.body(row), measured.found.witness[k, row], -float(measured.distance[k, row])
         other = measured.other(row, k)
         note, label = measured.mesh_note(row, k, other), measured.label(row)
-        one = Obstruction(body, point, depth_m, off, reached, x, other, note, label)
-        if not (reached or task.is_points):
-            distance, angle, slack = (float(table[k]) for table in errors)
-            one = one._replace(residual_m=distance, angle_rad=angle, within_bands=slack >= 0)
-        found.append(one)
+        found.append(Obstruction(body, point, depth_m, off, reached, x, other, note, label))
+    if task.is_points or is_reached.all():
+        return found
+    errors = measured_rows.task_errors(robot, task, place, brought, goals)
+    for k in np.flatnonzero(~is_reached).tolist():
+        distance, angle, slack = (float(table[k]) for table in errors)
+        found[k] = found[k]._replace(residual_m=distance, angle_rad=angle, within_bands=slack >= 0)
     return found
 
 

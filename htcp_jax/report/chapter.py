@@ -183,7 +183,7 @@ def part_facts(part: Part) -> list[str]:
         lines.append(f"Planned part of the grid: {manifest.part}.")
     unfinished = {m: sum(map(len, part.run.missing(m))) for m in part.run.methods}
     if any(unfinished.values()):
-        text = ", ".join(f"{method} {count:,}" for method, count in unfinished.items() if count)
+        text = ", ".join(f"{method}: {count:,}" for method, count in unfinished.items() if count)
         lines.append(f"The run is not finished. Scenarios still to plan: {text}.")
     return lines
 

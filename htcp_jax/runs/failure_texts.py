@@ -36,6 +36,8 @@ def reason(end: plans.Outcome, refused: RefusedSegment | None) -> str:
     """Return the reason why a plan ends, without what the row `segment` says if there is one."""
     if end.status == Status.PATH_BLOCKED and refused is not None:
         return "clear configurations were found there, but no segment to one of them was accepted"
+    if end.status == Status.RECOVERY_EXHAUSTED and refused is not None and refused.verdict == SegmentStatus.VALID:
+        return "the search accepted no configuration there, although a clear one exists"
     return end.status.message
 
 

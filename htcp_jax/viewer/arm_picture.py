@@ -18,6 +18,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import MultipleLocator
 from scipy.spatial import ConvexHull
 
 from htcp_jax.io import robots
@@ -58,7 +59,7 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     mujoco.mj_kinematics(model, data)
     has_pieces = any(cover.hulls for cover in arm.covers.values())
     rows = 1 + has_pieces
-    figure = Figure(figsize=(14, 10 * rows), dpi=110, facecolor=PAPER, layout="constrained")
+    figure = Figure(figsize=(14, 10 * rows), dpi=110, facecolor=PAPER, layout="compressed")
     FigureCanvasAgg(figure)
     figure.get_layout_engine().set(rect=(0, 0, 1, 1 - 0.05 / rows))
     figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, y=1 - 0.015 / rows, ha="left")
@@ -70,6 +71,9 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
             _draw_side(axes, arm, model, data, flat, scale, pieces=what != "capsules")
             axes.set_title(f"{what},\n{heading}", color=INK, fontsize=12, loc="left")
     grid[0, 0].get_gridspec().set_width_ratios([np.ptp(axes.get_xlim()) for axes in grid[0]])  # equal scales
+    step_m = max(np.diff(ticks)[0] for ticks in (grid[0, 0].get_xticks(), grid[0, 0].get_yticks()))
+    for axis in (axis for axes in grid.flat for axis in (axes.xaxis, axes.yaxis)):
+        axis.set_major_locator(MultipleLocator(step_m))
     has = {DRAWN: True, OWN: any(cover.own for cover in arm.covers.values()), EXCESS(0.5): bool(excess)}
     handles = [Patch(color=colour, label=text) for colour, text in LEGEND.items() if has.get(colour, has_pieces)]
     figure.legend(handles=handles, loc="outside lower left", frameon=False, fontsize=11, labelcolor=INK)
@@ -112,7 +116,7 @@ def _draw_side(
         axes.plot(*ends[:, flat].T, color=colour, linewidth=2.5, zorder=5)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    axes.tick_params(colors=INK, labelsize=9, labelleft=True)  # also for the view on the right, which shares this axis
+    axes.tick_params(colors=INK, labelsize=9, labelleft=True, labelbottom=True)  # also of shared axes
     axes.set_xlabel(f"{'xyz'[flat[0]]} [m]", color=INK)
     axes.set_ylabel(f"{'xyz'[flat[1]]} [m]", color=INK)
     for spine in axes.spines.values():

@@ -27,7 +27,7 @@ from htcp_jax.motion import plans as plan_arrays
 from htcp_jax.reachability import Obstruction
 from htcp_jax.runs import MotionSummary, summarise_motion
 from htcp_jax.spec import ToolAxisRow
-from htcp_jax.status import Status
+from htcp_jax.status import AT_HOME, Status
 from htcp_jax.viewer import seam_marks
 from htcp_jax.viewer.angle_strip import draw_angles
 from htcp_jax.viewer.arm_pose import (
@@ -62,9 +62,10 @@ from htcp_jax.viewer.workcell import shown_triangles
 THINNEST_M = 1e-5  # half of the width at which a flat shape is drawn
 SMALLEST_M = 0.1  # minimum extent of a view, for example of a single point
 FONT_PT, LINE_LENGTH = 9.5, 90  # texts in the clearance plot: size, and maximum characters per line
-HEADROOM = 0.1  # free space above the curve, for texts, as a share of its height
+LONGEST_TEXTS = 0.7  # largest share of the clearance plot's height for texts above the curve
 CLOSE = 0.03  # lines closer than this share of all targets have their texts left of the first line
-AXIS_PT, TILT = 22.0, 0.35  # axes of a view: length of one across the view; how far down one towards the eye points
+AXIS_PT, TILT = 22.0, 0.5  # axes of a view: length of one across the view; how far down one towards the eye points
+ALONG, BELOW_PT = 0.9, (0.0, -12.0)  # an axis with this component towards the eye, or away, is a symbol; its name
 TRIAD_AT = 0.4, -0.42  # origin of the axes, from the view's lower left corner [inches]
 BEHIND = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 1}  # background of a text over a curve
 LEGEND = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 6, "borderaxespad": 0.2, "frameon": False}
@@ -111,8 +112,8 @@ def draw_plan(
     grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios, width_ratios=(1.12, 1), **PLACE)
     T = np.asarray(scenario.T_world_workpiece)
     part = Part(workpiece.shown, shown_triangles(workpiece)).moved(T)
-    attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
-    x_start = (obstruction.x if attempted else np.asarray(scenario.x_start))[None]
+    begin = plans.start[row] if plans.status[row, 0] in AT_HOME else np.asarray(scenario.x_start)
+    x_start = (obstruction.x if _is_attempt(plans, row, obstruction) else begin)[None]
     drawn = _draw_scene(figure, grid, robot, part, plans, row, x_start, obstruction, fixtures, seams)
     motion = summarise_motion(plans, int(scenario.on_path), row)
     for axes, (view, T) in zip(figure.axes, drawn, strict=True):
@@ -157,8 +158,8 @@ def _draw_scene(
         for *one, T, links in zip(*arm, roots, links_at(robot, x), strict=True)
     ]
     drawn = []
-    attempted = obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
-    headings = _pose_heading(shown, robot.part_moves, attempted), "From the part" if robot.part_moves else "Close-up"
+    where = _begin_text(plans, row, obstruction) if not shown else f"at target {shown[-1]}"
+    headings = _pose_heading(shown, robot.part_moves, where), "From the part" if robot.part_moves else "Close-up"
     pieces = pieces_at(robot, x)
     for column, heading in enumerate(headings):
         axes = figure.add_subplot(grid[0, column])
@@ -179,7 +180,7 @@ def _draw_scene(
         if obstruction is not None and obstruction.collides:
             _draw_obstruction(axes, view, robot, obstruction, T)
         _set_limits(axes, view.flat(wall.cloud) if column else None, others.floor_m)
-        _draw_triad(axes, view)
+        draw_triad(axes, view)
         azimuth = round(np.degrees(np.arctan2(view.near[1], view.near[0])))
         cut = f",\n{at.cut_text}" if at.cut else ""  # one line would be wider than the panel
         _heading(axes, f"{heading}, seen from azimuth {azimuth}°{cut}")
@@ -331,8 +332,8 @@ def _draw_events(
 ) -> None:
     """Draw vertical lines at dwells, the failed target, the end of the executable motion, and its minimum clearance.
 
-    Each line except a dwell's has a text, on its side with more space; texts are stacked downwards. The range of
-    targets that were not attempted is grey.
+    Each line except a dwell's has a text, on its side with more space; texts are stacked downwards, above the curve.
+    The range of targets that were not attempted is grey.
     """
     for k, target in enumerate(motion.dwells):
         axes.axvline(target, label="dwell" if k == 0 else None, color=DWELL, linewidth=1.4, zorder=1)
@@ -355,6 +356,17 @@ def _draw_events(
         place, offset = (beside, 1.0), (-7 if left else 7, -below)
         axes.annotate("\n".join(lines), place, offset, ("data", "axes fraction"), "offset points", **look, bbox=BEHIND)
         below += 1.4 * FONT_PT * len(lines)
+    height_pt = 72 * axes.get_position().height * axes.figure.get_figheight()
+    low, high = axes.get_ylim()
+    _set_logarithmic(axes, low, low * (high / low) ** (1 / (1 - min(below / height_pt, LONGEST_TEXTS))))
+
+
+def _set_logarithmic(axes: Axes, low: float, high: float) -> None:
+    """Set the range of a logarithmic y axis, with plain numbers."""
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _set_limits(axes: Axes, around: Float[np.ndarray, "P 2"] | None, floor_m: float | None) -> None:
@@ -402,22 +414,43 @@ def draw_scale(axes: Axes, above: bool = False) -> None:
     axes.set_ylim(*((bottom, top + strip) if above else (bottom - strip, top)))
 
 
-def _draw_triad(axes: Axes, view: View) -> None:
-    """Draw the axes x, y and z below the view, as seen from slightly above: one towards the eye points down."""
+def draw_triad(axes: Axes, view: View) -> None:
+    """Draw the axes x, y and z below the view, as seen from slightly above: one towards the eye points down.
+
+    An axis along the line of sight is a circle: with a dot if it points towards the eye, with a cross if away from it.
+    """
     origin = axes.transAxes + ScaledTranslation(*TRIAD_AT, axes.figure.dpi_scale_trans)
     arrow = {"arrowstyle": "<-", "color": INK, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
-    look = {"ha": "center", "va": "center", "color": INK, "fontsize": FONT_PT, "zorder": 6.5, "arrowprops": arrow}
+    look = {"ha": "center", "va": "center", "color": INK, "fontsize": FONT_PT, "zorder": 6.5}
     for name, axis in zip("xyz", np.eye(3), strict=True):
-        end = AXIS_PT * np.array([view.right @ axis, view.up @ axis - TILT * (view.near @ axis)])
-        axes.annotate(name, (0, 0), tuple(end), origin, "offset points", **look)
+        near = view.near @ axis
+        if abs(near) > ALONG:
+            for marker, size in (("o", 10), ("." if near > 0 else "x", 5)):
+                symbol = {"marker": marker, "markersize": size, "color": INK, "markerfacecolor": PAPER, "zorder": 6.6}
+                axes.plot(0, 0, transform=origin, clip_on=False, **symbol)
+            axes.annotate(name, (0, 0), BELOW_PT, origin, "offset points", **look)
+            continue
+        end = AXIS_PT * np.array([view.right @ axis, view.up @ axis - TILT * near])
+        axes.annotate(name, (0, 0), tuple(end), origin, "offset points", arrowprops=arrow, **look)
 
 
-def _pose_heading(shown: list[int], part_moves: bool, attempted: bool) -> str:
-    *shadows, last = shown or ["start"]
-    at_first = "as near as it came to the failed target" if attempted else "at its start"
-    where = at_first if last == "start" else f"at target {last}"
-    others = f" (shadows: at {' and '.join(map(str, shadows))})" if shadows else ""
-    return f"The arm {where}{others}{', in the world' if part_moves else ''}"
+def _is_attempt(plans: Plans, row: int, obstruction: Obstruction | None) -> bool:
+    """Return True if the obstruction is that of a random configuration that was tried as a start."""
+    return obstruction is not None and bool(plans.status[row, 0] == Status.NO_START)
+
+
+def _begin_text(plans: Plans, row: int, obstruction: Obstruction | None) -> str:
+    """Return where the arm is drawn if no target is tracked."""
+    if _is_attempt(plans, row, obstruction):
+        return "in the clearest attempt at target 0"
+    if plans.status[row, 0] == Status.NO_START:
+        return "without a start"
+    return "at home" if plans.status[row, 0] in AT_HOME else "at its start"
+
+
+def _pose_heading(shown: list[int], part_moves: bool, where: str) -> str:
+    shadows = f" (shadows: at {' and '.join(map(str, shown[:-1]))})" if len(shown) > 1 else ""
+    return f"The arm {where}{shadows}{', in the world' if part_moves else ''}"
 
 
 def _heading(axes: Axes, text: str) -> None:
@@ -448,11 +481,7 @@ def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> No
         axes.step(index, 1e3 * scenario.seam_margins_m[:, 0], where="mid", **style)
     elif scenario.margin_m > 0:
         axes.axhline(1e3 * float(scenario.margin_m), **style)
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high * (high / low) ** HEADROOM)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+    _set_logarithmic(axes, *axes.get_ylim())
     axes.set_xlim(-1, len(status))
     axes.set_xlabel("target", color=INK)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
