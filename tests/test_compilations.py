@@ -7,22 +7,24 @@ from htcp_jax.device import compilations
 from htcp_jax.device.compilations import Compilations
 
 
-def test_the_text_counts_programs_and_estimates_the_time_by_the_mean_of_those_before(monkeypatch):
+def test_the_text_counts_programs_and_estimates_the_time(monkeypatch):
     count, now = Compilations(), [0.0]
     monkeypatch.setattr(compilations.time, "monotonic", lambda: now[0])
     assert count.text == ""
     with count.requested(3) as begin:
         begin()
         with count.compiling():
-            assert count.text == "compiling 1 of 3 programs"
+            assert count.text == "compiling 1 of 3 programs, about 30 s"
             now[0] = 8.0
         assert count.text == ""  # nothing is compiled now
         begin()
         with count.compiling():
             now[0] = 10.0
-            assert count.text == "compiling 2 of 3 programs, about 14 s"
+            assert count.text == "compiling 2 of 3 programs, about 16 s"
             with count.compiling():  # at the same time, and not requested before
-                assert count.text == "compiling 2 of 4 programs, about 11 s"
+                assert count.text == "compiling 2 of 4 programs, about 12 s"
+            now[0] = 38.0
+            assert count.text == "compiling 3 of 4 programs, about 21 s"
         begin()  # was loaded
     with count.compiling():
         assert count.text.startswith("compiling 4 of 4 programs")
@@ -45,4 +47,4 @@ def test_a_progress_line_says_what_is_compiled_and_ends_with_the_elapsed_time(ca
         begin()
         while not (lines := capsys.readouterr().err.splitlines()):
             pass
-    assert lines[0] == "htcp: targets 0/? compiling 1 of 2 programs 0:00:00"
+    assert lines[0] == "htcp: targets 0/? compiling 1 of 2 programs, about 20 s 0:00:00"

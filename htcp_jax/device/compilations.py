@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+USUAL_S = 10.0  # time that a program takes on two cores while another one is compiled [s]
+
 
 class Compilations:
     """Programs that are requested, being compiled and compiled; those that are loaded from the cache do not count."""
@@ -57,17 +59,16 @@ class Compilations:
     def text(self) -> str:
         """Text such as "compiling 3 of 7 programs, about 40 s"; "" if no program is being compiled.
 
-        The time is an estimate: every program takes the mean time of those before.
+        The time is an estimate: every program takes the mean time of those before and of a first one of USUAL_S. One
+        that has already taken two thirds of it or more takes half as long again as it has taken.
         """
         with self._lock:
             begun, done, requested = list(self._begun.values()), list(self._seconds), self._requested
         if not begun:
             return ""
+        each, now = (USUAL_S + sum(done)) / (1 + len(done)), time.monotonic()
+        left = requested * each + sum(max(each - (now - began), (now - began) / 2) for began in begun)
         text = f"compiling {len(done) + 1} of {len(done) + len(begun) + requested} programs"
-        if not done:
-            return text
-        each, now = sum(done) / len(done), time.monotonic()
-        left = requested * each + sum(max(each - (now - began), 0.1 * each) for began in begun)
         return f"{text}, about {max(1, round(left / len(begun)))} s"
 
 

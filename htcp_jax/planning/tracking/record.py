@@ -1,10 +1,10 @@
 """Record of an engine: writes tracked and failed targets into the plans."""
 
-import jax
 import numpy as np
 
-from htcp_jax.model import robot as robots
+from htcp_jax.device import tables
 from htcp_jax.motion import Plans, Problem, step_functions
+from htcp_jax.motion.measured_rows import Placement, task_errors
 from htcp_jax.planning.tracking.lanes import Lanes
 from htcp_jax.status import Status
 
@@ -53,17 +53,10 @@ class Record:
 
 def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
     """Return the plans with the residual split into a distance and an angle, if the task constrains angles."""
-    if not problem.task.holds_angles:
+    if not problem.task.holds_angles or not plans.tracked.any():
         return plans
-    residual, angle, scenarios = plans.residual.copy(), plans.orientation_error.copy(), problem.scenarios
-    for s in np.flatnonzero(plans.tracked.any(axis=1)).tolist():
-        found = _errors(problem.task, problem.robot, scenarios.tool_extension_m[s], plans.x[s], scenarios.task_goals[s])
-        for column, values in zip((residual, angle), found, strict=True):
-            column[s] = np.where(plans.tracked[s], values, np.nan)
+    s, t = np.nonzero(plans.tracked)
+    where, goals = tables.gather(Placement.of(problem.scenarios), s), problem.scenarios.task_goals[s, t]
+    residual, angle = plans.residual.copy(), plans.orientation_error.copy()
+    residual[s, t], angle[s, t], _ = task_errors(problem.robot, problem.task, where, plans.x[s, t], goals)
     return plans._replace(residual=residual, orientation_error=angle)
-
-
-@jax.jit
-def _errors(task, robot, tool_extension_m, x, goals):
-    own = robots.lengthen_tool(robot, tool_extension_m)
-    return jax.vmap(lambda x, goal: task.errors(own, x, goal))(x, goals)
