@@ -131,12 +131,13 @@ def start(out: str, *more: str) -> subprocess.Popen:
     return subprocess.Popen(words, env=environment(), stdout=pipe, stderr=pipe, text=True)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("name", ["each", "bounds"])
-def test_a_command_killed_again_and_again_comes_to_the_same_bytes(here, undisturbed, number, name):
+@pytest.mark.parametrize(
+    ("name", "signals"), [("each", (signal.SIGINT, signal.SIGKILL)), ("bounds", (signal.SIGKILL, signal.SIGINT))]
+)
+def test_a_command_killed_again_and_again_comes_to_the_same_bytes(here, undisturbed, name, signals):
     more = ["--each"] if name == "each" else []
     kept = partial((here / "out" / FOLDER).glob, RESULTS)
-    for least in (1, 4, 8):
+    for least, number in zip((1, 6), signals, strict=True):
         wanted = max(least, len(list(kept())) + 1)  # not earlier, as the command must have installed its handlers
         with start("out", *more) as process:
             while process.poll() is None and len(list(kept())) < wanted:

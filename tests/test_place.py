@@ -58,6 +58,7 @@ objective: [clearance, joint motion]
 within: {scenarios: 12}
 perturbation: {mm: 20, deg: 3}
 best: 3
+tolerances: 1
 """
 TOY_BEAM = [
     f"settings.{name}={getattr(toy.SETTINGS, name)}" for name in ("beam_width", "min_beam_width", "self_motions")
