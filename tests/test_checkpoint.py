@@ -72,6 +72,15 @@ def of(undisturbed: dict[str, bytes], name: str) -> dict[str, bytes]:
     return {file: data for file, data in undisturbed.items() if file.startswith(f"{name}/")}
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Result of a search that was not interrupted, and what it computed."""
+    folder = make(tmp_path_factory.mktemp("whole"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return search(folder / "a")
+
+
 class Interrupting:
     """A memo that logs what is computed, and presses Ctrl-C before a given number of calls."""
 
@@ -107,23 +116,23 @@ def interrupted(out: Path, after: int, **how) -> set[tuple]:
 
 
 @pytest.mark.parametrize("after", [3, 9, 20])
-def test_what_is_kept_is_not_computed_again_and_all_else_is(here, after):
-    whole, all_ = search(here / "a")
+def test_what_is_kept_is_not_computed_again_and_all_else_is(here, whole, after):
+    expected, all_ = whole
     kept = interrupted(here / "b", after)
     found, computed = search(here / "b")
     assert kept and set(computed) == set(all_) - kept
-    for a, b in zip((*whole[:-1], *whole.each), (*found[:-1], *found.each), strict=True):
+    for a, b in zip((*expected[:-1], *expected.each), (*found[:-1], *found.each), strict=True):
         np.testing.assert_array_equal(a, b)
     assert not any((here / "b").iterdir())
 
 
-def test_each_and_a_larger_limit_may_be_added(here):
-    whole, all_ = search(here / "a")
+def test_each_and_a_larger_limit_may_be_added(here, whole):
+    expected, all_ = whole
     kept = interrupted(here / "b", 6, limit=2, each=False)
     found, computed = search(here / "b")
     assert kept and set(computed) == set(all_) - kept
-    np.testing.assert_array_equal(found.each.reach, whole.each.reach)
-    np.testing.assert_array_equal(found.x, whole.x)
+    np.testing.assert_array_equal(found.each.reach, expected.each.reach)
+    np.testing.assert_array_equal(found.x, expected.x)
 
 
 def start(out: str, *more: str) -> subprocess.Popen:
