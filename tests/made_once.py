@@ -133,7 +133,7 @@ def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -
 @cache
 def in_rows(function: Callable, count: int) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
-    compiled = quick_jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
+    compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
 
     def padded(leaf, first: int) -> np.ndarray:
         leaf = np.asarray(leaf)
