@@ -17,7 +17,7 @@ from htcp_jax.clearance.proof.bisection import Proof, initial_state
 from htcp_jax.clearance.proof.joint_path import StraightPath
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.clearance.proof.motion_proof import DEEPEST, query_on
-from htcp_jax.device.executor import ExecutableCache
+from htcp_jax.device.executor import QUICK, ExecutableCache
 from htcp_jax.device.lane_function import LaneFunction
 from htcp_jax.io.parts.point_cloud import load_geometry
 from htcp_jax.io.parts.workpiece_source import load_workpiece
@@ -39,6 +39,7 @@ PAPER_CHOICES = {  # settings of `configs/paper.yaml` that decide which targets 
     "path_check": "none",
     "path_test": "samples",
 }
+quick_jit = partial(jax.jit, compiler_options=QUICK["cpu"])  # compiles in half the time; for functions of few rows
 RECORDED = Path(__file__).parent / "data" / "subproblems.npz"
 
 

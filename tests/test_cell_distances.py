@@ -84,7 +84,7 @@ def seen(kind: str, folder, p, q):
     return each_seen(solid, p, q)
 
 
-@jax.jit
+@made_once.quick_jit
 def each_seen(solid, p, q):
     return jax.vmap(solid.contact)(p, q)
 
@@ -328,7 +328,7 @@ def test_gradients_and_what_is_held_are_those_of_the_distance():
     ahead, behind = around[6:].reshape(6, 2, 6, -1).transpose(1, 0, 3, 2)
     assert (np.abs((ahead - behind) / 2e-6 - found.gradient) > 1e-4).any(axis=2).sum() <= 4
 
-    @jax.jit
+    @made_once.quick_jit
     def predicted(x, near, touch):
         held = hold_contacts(robot, x, rows, touch)
         return [predict_distances(robot, place, rows, held)[0] for place in (x, near)]
@@ -346,7 +346,9 @@ def test_joint_paths_next_to_solids_are_proven_and_refuted_as_they_are():
     b = a + np.stack([rng.uniform(-0.3, 0.3, 6) for _ in a])
     places = (a[:, None] + np.linspace(0, 1, 51)[:, None] * (b - a)[:, None]).reshape(-1, 6)
     scene, where = Scene(robot, (everything(),)), made_once.nominal()
-    found = jax.jit(lambda *scene: jax.lax.map(lambda path: prove(*scene, *path, kept=0.5), (a, b)))(scene, where)
+    found = made_once.quick_jit(lambda *scene: jax.lax.map(lambda path: prove(*scene, *path, kept=0.5), (a, b)))(
+        scene, where
+    )
     truth = answer(clearances, places).reshape(24, -1).min(axis=1)
     at_place = answer(clearances, a + np.asarray(found.place)[:, None] * (b - a)).min(axis=1)
     valid, colliding = (np.asarray(found.verdict) == each for each in (PathVerdict.VALID, PathVerdict.IN_COLLISION))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import toy
 import trimesh
-from made_once import prove
+from made_once import prove, quick_jit
 
 import htcp_jax
 from htcp_jax.clearance import Scene, minimum_clearance
@@ -75,7 +75,7 @@ def test_the_clearance_of_a_box_on_a_link_is_a_close_lower_bound_on_mujocos(arm,
     for data.qpos[:] in x:
         mujoco.mj_kinematics(model, data)
         exact.append(mujoco.mj_geomDistance(model, data, *pair, 10, None))
-    distances = jax.jit(jax.vmap(lambda x: Fixtures.distances(posts, robot, *capsule_segments(robot, x))))
+    distances = quick_jit(jax.vmap(lambda x: Fixtures.distances(posts, robot, *capsule_segments(robot, x))))
     over = np.array(exact) - np.asarray(distances(x))[:, 0, list(robot.attached)].min(axis=1)
     assert min(exact) < 0 and over.min() > -1e-6 and over[np.array(exact) > 0].max() < 0.022
 
@@ -98,7 +98,7 @@ def test_a_mesh_that_is_not_convex_is_not_tested_against_links_that_it_excludes(
     (ring,) = build.obstacles_of(surroundings, robot)
     (checked,) = build.obstacles_of(CellConfig(clouds=clouds), robot)
     x, where = jnp.array([0.0, 1.6, 0.8, 0.0]), toy.scenario()
-    of = jax.jit(partial(htcp_jax.clearances, robot))
+    of = quick_jit(partial(htcp_jax.clearances, robot))
     by_body = [np.asarray(of((each,), where, x)) for each in (ring, checked)]
     assert (by_body[0][:2] == by_body[1][:2]).all() and by_body[0][2] > 1e3 > by_body[1][2]
 
@@ -151,7 +151,7 @@ def test_validation_measures_boxes_and_meshes_on_links_exactly_in_every_place_of
     robot = build.robot_of(arm, surroundings)
     obstacles = build.obstacles_of(surroundings, robot)
     x = random_configurations(robot, 30)
-    bound = np.asarray(jax.jit(jax.vmap(partial(minimum_clearance, robot, obstacles, toy.scenario())))(x))
+    bound = np.asarray(quick_jit(jax.vmap(partial(minimum_clearance, robot, obstacles, toy.scenario())))(x))
     own = MujocoArm(tmp_path / "arm.xml")
     measured = MujocoCell(surroundings, own, own).distances(x, own.arm_poses(x)).min(axis=1)
     clear = measured > 0
@@ -233,7 +233,7 @@ def test_a_wrong_name_in_a_fixture_is_named_with_the_valid_ones(rule, message, a
 def test_the_proof_of_a_motion_knows_the_box_on_a_link(arm, cell):
     """The turret turns the camera through a thin rod; the arm's own capsules pass next to it."""
     rod = '<geom name="post" type="capsule" size="0.003" fromto="0.1 0 0.9 0.2 0 0.9"/>'
-    verdicts, where, proven = [], toy.scenario(), jax.jit(prove)
+    verdicts, where, proven = [], toy.scenario(), quick_jit(prove)
     for rules in ([], [{"name": "camera", "parent": "elbow"}]):
         surroundings = cell(*rules, shapes=rod + (CAMERA if rules else ""))
         robot = build.robot_of(arm, surroundings)
@@ -246,7 +246,7 @@ def test_the_tip_begins_at_the_tool_and_not_at_a_box_next_to_the_tcp(arm, cell):
     plain = build.robot_of(arm)
     robot = build.robot_of(arm, cell({"name": "camera", "parent": "hand"}))
     x = jnp.array([0.3, 0.2, 0.1, 0.4])
-    segment = jax.jit(tip_segment)
+    segment = quick_jit(tip_segment)
     np.testing.assert_array_equal(segment(robot, x), segment(plain, x))
 
 

@@ -72,6 +72,15 @@ def of(undisturbed: dict[str, bytes], name: str) -> dict[str, bytes]:
     return {file: data for file, data in undisturbed.items() if file.startswith(f"{name}/")}
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Result of a search that was not interrupted, and what it computed."""
+    folder = make(tmp_path_factory.mktemp("whole"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return search(folder / "a")
+
+
 class Interrupting:
     """A memo that logs what is computed, and presses Ctrl-C before a given number of calls."""
 
@@ -107,23 +116,23 @@ def interrupted(out: Path, after: int, **how) -> set[tuple]:
 
 
 @pytest.mark.parametrize("after", [3, 9, 20])
-def test_what_is_kept_is_not_computed_again_and_all_else_is(here, after):
-    whole, all_ = search(here / "a")
+def test_what_is_kept_is_not_computed_again_and_all_else_is(here, whole, after):
+    expected, all_ = whole
     kept = interrupted(here / "b", after)
     found, computed = search(here / "b")
     assert kept and set(computed) == set(all_) - kept
-    for a, b in zip((*whole[:-1], *whole.each), (*found[:-1], *found.each), strict=True):
+    for a, b in zip((*expected[:-1], *expected.each), (*found[:-1], *found.each), strict=True):
         np.testing.assert_array_equal(a, b)
     assert not any((here / "b").iterdir())
 
 
-def test_each_and_a_larger_limit_may_be_added(here):
-    whole, all_ = search(here / "a")
+def test_each_and_a_larger_limit_may_be_added(here, whole):
+    expected, all_ = whole
     kept = interrupted(here / "b", 6, limit=2, each=False)
     found, computed = search(here / "b")
     assert kept and set(computed) == set(all_) - kept
-    np.testing.assert_array_equal(found.each.reach, whole.each.reach)
-    np.testing.assert_array_equal(found.x, whole.x)
+    np.testing.assert_array_equal(found.each.reach, expected.each.reach)
+    np.testing.assert_array_equal(found.x, expected.x)
 
 
 def start(out: str, *more: str) -> subprocess.Popen:
@@ -131,12 +140,13 @@ def start(out: str, *more: str) -> subprocess.Popen:
     return subprocess.Popen(words, env=environment(), stdout=pipe, stderr=pipe, text=True)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("name", ["each", "bounds"])
-def test_a_command_killed_again_and_again_comes_to_the_same_bytes(here, undisturbed, number, name):
+@pytest.mark.parametrize(
+    ("name", "signals"), [("each", (signal.SIGINT, signal.SIGKILL)), ("bounds", (signal.SIGKILL, signal.SIGINT))]
+)
+def test_a_command_killed_again_and_again_comes_to_the_same_bytes(here, undisturbed, name, signals):
     more = ["--each"] if name == "each" else []
     kept = partial((here / "out" / FOLDER).glob, RESULTS)
-    for least in (1, 4, 8):
+    for least, number in zip((1, 6), signals, strict=True):
         wanted = max(least, len(list(kept())) + 1)  # not earlier, as the command must have installed its handlers
         with start("out", *more) as process:
             while process.poll() is None and len(list(kept())) < wanted:

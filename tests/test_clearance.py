@@ -53,7 +53,7 @@ def configurations() -> np.ndarray:
 @cache
 def jitted(function):
     """`function` of (robot, obstacle, where, x), compiled once for all tests."""
-    return jax.jit(function)
+    return made_once.quick_jit(function)
 
 
 ROWS = 44  # configurations per call, in all tests
@@ -105,7 +105,7 @@ def in_duct(wy=0.4, wz=0.1) -> Forms:
     return at_each(forms, robot, obstacle, posed(made_once.duct(), wy, wz), configurations())
 
 
-_ENDS = jax.jit(capsule_segments)
+_ENDS = made_once.quick_jit(capsule_segments)
 
 
 def numpy_clearances(robot, workpiece: Workpiece, where: Where, x):
@@ -319,9 +319,9 @@ def test_what_other_devices_compute_is_the_same():
         here = robot, obstacle, where
         return contacts(*here, x).distance, minimum_clearance(*here, x), is_clear(*here, x)
 
-    here = jax.jit(jax.vmap(look))(x)
+    here = made_once.quick_jit(jax.vmap(look))(x)
     with compiled_for(Backend("another")):
-        there = jax.jit(jax.vmap(look))(x)
+        there = made_once.quick_jit(jax.vmap(look))(x)
     assert 10 < np.asarray(here[2]).sum() < len(x) - 10
     for ours, theirs in zip(here, there, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
-from made_once import prove
+from made_once import prove, quick_jit
 from sphere_references import Where
 from test_cloud_index import cloud
 from test_motion_proof import motions
@@ -27,7 +27,7 @@ from htcp_jax.pytree import register_pytree
 
 BODIES = 6
 STEP = 0.005  # between points on a circle [rad]
-_FOUND = jax.jit(clear_along)
+_FOUND = quick_jit(clear_along)
 
 
 def swept(rng, points):
@@ -107,7 +107,7 @@ def test_the_kernel_for_gpus_finds_the_same(name, as_on_a_gpu):
     def clear(least):
         required = jnp.asarray(least)
         bounds = lambda *lane: clear_along(index, *lane[:4], RequiredClearance(lane[4], required, lane[5]))  # noqa: E731
-        found = jax.jit(jax.vmap(bounds))
+        found = quick_jit(jax.vmap(bounds))
         return np.asarray(found(p, q, sweep, reach, requested, enough))
 
     found, ended = clear(-jnp.inf), clear(0.01)
@@ -127,9 +127,11 @@ def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
     segments = jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions()[:40])
     scene = Scene(*made_once.scene())
     proof = partial(prove, scene, kept=0.5)
-    found = jax.jit(jax.vmap(proof))(*segments)
+    found = quick_jit(jax.vmap(proof))(*segments)
     as_on_a_gpu.close()
-    expected = jax.jit(lambda segments: jax.lax.map(lambda segment_status: proof(*segment_status), segments))(segments)
+    expected = quick_jit(lambda segments: jax.lax.map(lambda segment_status: proof(*segment_status), segments))(
+        segments
+    )
     for name in ("verdict", "place", "queries", "depth"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
     np.testing.assert_allclose(found.clearance, expected.clearance, rtol=0, atol=1e-12)
@@ -139,8 +141,8 @@ def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
 def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():
     """Check 200 samples on joint paths of all lengths from recorded configurations."""
     scene, gained = Scene(*made_once.scene()), 0
-    look, travel = jax.jit(lambda *given: on_interval(*given)[0]), jax.jit(travel_bound)
-    everywhere = jax.jit(lambda where, xs: jax.lax.map(lambda x: minimum_clearance(*scene[:2], where, x), xs))
+    look, travel = quick_jit(lambda *given: on_interval(*given)[0]), jax.jit(travel_bound)
+    everywhere = quick_jit(lambda where, xs: jax.lax.map(lambda x: minimum_clearance(*scene[:2], where, x), xs))
     for where, a, b, _ in motions():
         x, rates = (a + b) / 2, b - a
         near = float(
@@ -167,7 +169,9 @@ def floor_below(robot, where, x, gap_m):
     radius, angle = (each.ravel() for each in np.meshgrid(np.arange(0.6, 2.0, 0.01), np.arange(-0.5, 1.0, STEP)))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(len(angle), -2.0)], axis=1)
     turned = x[None] + jnp.linspace(0, STEP, 21)[:, None] * jnp.eye(6)[:1]
-    least = jax.jit(lambda floor: jnp.min(jax.lax.map(lambda x: minimum_clearance(robot, (floor,), where, x), turned)))
+    least = quick_jit(
+        lambda floor: jnp.min(jax.lax.map(lambda x: minimum_clearance(robot, (floor,), where, x), turned))
+    )
     for _ in range(6):  # the nearest point is not straight below
         points[:, 2] += float(least(cloud_of(points, 0.0))) - gap_m
     return cloud_of(points, 0.0)
@@ -185,7 +189,7 @@ def test_a_segment_along_a_wall_takes_few_looks():
     """A turn about the vertical, 1 um above a floor: by travel alone it needs over 20 times as many queries."""
     robot, where, x = made_once.robot(), Where(jnp.eye(4), jnp.zeros(4)), jnp.array([0.0, 0.6, -0.3, 0.0, -0.6, 0.0])
     floor, turned = floor_below(robot, where, x, 1e-6), x.at[0].set(0.02)
-    proof = jax.jit(prove)(Scene(robot, (floor,)), where, x, turned)
+    proof = quick_jit(prove)(Scene(robot, (floor,)), where, x, turned)
     assert proof.verdict == PathVerdict.VALID and proof.queries < 100
-    again = jax.jit(prove)(Scene(robot, (TravelOnly(**vars(floor)),)), where, x, turned)
+    again = quick_jit(prove)(Scene(robot, (TravelOnly(**vars(floor)),)), where, x, turned)
     assert again.verdict == PathVerdict.VALID and again.queries > 20 * proof.queries

@@ -10,6 +10,7 @@ import made_once
 import mujoco
 import numpy as np
 import pytest
+from made_once import quick_jit
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from trimesh.triangles import closest_point
@@ -80,7 +81,7 @@ def bodies(kind: str, T: np.ndarray) -> Body:
     return Rod(t - z, t + z, many(RADIUS)) if kind == "capsule" else Rod(t, t, many(RADIUS))
 
 
-@jax.jit
+@quick_jit
 def measured(piece: ConvexPiece, T, others: Body) -> PieceContact:
     return jax.lax.map(lambda row: piece_contact(PlacedPiece(piece, row[0]), row[1]), (T, others))
 
@@ -297,7 +298,9 @@ def test_gradients_are_those_of_finite_differences(kind):
             other = other._replace(T_world=jnp.where(moves, turned(U, by), U))
         return piece_contact(PlacedPiece(pieces()["blob"], jnp.where(moves, T, turned(T, by))), other).distance
 
-    slope = jax.jit(lambda moves, *rows: jax.lax.map(lambda row: jax.jacfwd(distance)(jnp.zeros(6), *row, moves), rows))
+    slope = quick_jit(
+        lambda moves, *rows: jax.lax.map(lambda row: jax.jacfwd(distance)(jnp.zeros(6), *row, moves), rows)
+    )
     compared = 0
     for unit, moves in zip(units, both, strict=True):
         ahead, behind = (
@@ -327,7 +330,7 @@ def test_a_gradient_in_the_configuration_is_that_of_finite_differences():
         T = kinematics.link_poses(robot, x)
         return piece_contact(PlacedPiece(pieces()["blob"], T[4]), PlacedPiece(pieces()["tetrahedron"], T[3] @ T_link))
 
-    @jax.jit
+    @quick_jit
     def values(x, held):
         return jax.lax.map(lambda row: jax.jacfwd(lambda x: (contact(x, row[1]),) * 2, has_aux=True)(row[0]), (x, held))
 
@@ -343,7 +346,7 @@ def test_a_gradient_in_the_configuration_is_that_of_finite_differences():
 
 def test_a_contact_by_faces_is_exact_apart_and_no_less_deep_where_pieces_overlap():
     T, U = poses(COUNT, 17, 0.2), poses(COUNT, 18, 0.2)
-    by_faces = jax.jit(
+    by_faces = quick_jit(
         jax.vmap(lambda T, U: face_contact(PlacedPiece(pieces()["blob"], T), PlacedPiece(pieces()["tetrahedron"], U)))
     )
     found, exact = by_faces(T, U), contacts("blob", "tetrahedron", T, U)
@@ -356,7 +359,7 @@ def test_a_contact_by_faces_is_exact_apart_and_no_less_deep_where_pieces_overlap
 
 def test_rows_do_not_affect_each_other():
     T, U = poses(COUNT, 13, 0.15), poses(COUNT, 14, 0.15)
-    together = jax.jit(
+    together = quick_jit(
         jax.vmap(lambda T, U: piece_contact(PlacedPiece(pieces()["blob"], T), PlacedPiece(pieces()["tetrahedron"], U)))
     )
     order = np.random.default_rng(0).permutation(COUNT)

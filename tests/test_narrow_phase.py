@@ -10,7 +10,7 @@ import made_once
 import numpy as np
 import pytest
 import qpsolvers
-from made_once import prove
+from made_once import prove, quick_jit
 from scipy.sparse import csc_matrix
 from scipy.spatial import ConvexHull
 
@@ -96,7 +96,7 @@ def expected_m(capsules: float, pieces: list[float]) -> float:
     return max(capsules, min([LIMIT_M, *pieces]))
 
 
-@jax.jit
+@quick_jit
 def verdicts(arm, obstacles, xs, above):
     """Distances, verdicts at margins `above` them by the distance and by the query alone, and sure collisions."""
 
@@ -125,7 +125,7 @@ SETS = ("floor", "crate"), ("bar", "post")
 PART = {"own": slice(0, 10), "points": slice(10, 18)} | dict.fromkeys((*SETS[0], *SETS[1]), slice(18, 38))
 
 
-@jax.jit
+@quick_jit
 def each_alone(arm, obstacles, xs):
     """Contacts of each obstacle alone, at every configuration."""
     return jax.lax.map(lambda x: [contacts(arm, (each,), WHERE, x) for each in obstacles], xs)
@@ -215,7 +215,7 @@ def test_obstacles_that_are_searched_together_have_the_contacts_of_each_alone():
     """Two sets of solids, one with a floor, with different numbers of corners, and the arm itself."""
     arm, every = arm_with_pieces(), (*sets_of_solids(), SelfCollision(pairs()))
 
-    @jax.jit
+    @quick_jit
     @jax.vmap
     def together(x):
         bodies = bodies_at(arm, WHERE, x)
@@ -281,7 +281,7 @@ def test_the_gradient_is_that_of_the_distance():
     obstacles = cloud_of(points(3000), 1e-3), fixtures(arm, list(SOLIDS.items())), SelfCollision(pairs())
     xs, seen = made_once.configurations(arm, 8, seed=4), 0
     steps = 1e-6 * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
-    measured = jax.jit(lambda xs: jax.lax.map(lambda x: clearance_rows(arm, obstacles, WHERE, x), xs))
+    measured = quick_jit(lambda xs: jax.lax.map(lambda x: clearance_rows(arm, obstacles, WHERE, x), xs))
     found = measured((xs[:, None] + steps).reshape(-1, 6))
     for k in range(0, len(found.distance), 13):
         rows = jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), found)
@@ -300,8 +300,8 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
     bare = arm.pieces._replace(excess_m=jnp.zeros_like(arm.pieces.excess_m))  # the capsules decide, in the same program
     thick = scene._replace(robot=dataclasses.replace(arm, pieces=bare))
-    proved = jax.jit(lambda scene, a, b: prove(scene, WHERE, a, b, kept=0.5))
-    places = jax.jit(jax.vmap(lambda x: minimum_clearance(arm, scene.obstacles, WHERE, x)))
+    proved = quick_jit(lambda scene, a, b: prove(scene, WHERE, a, b, kept=0.5))
+    places = quick_jit(jax.vmap(lambda x: minimum_clearance(arm, scene.obstacles, WHERE, x)))
     gained = 0
     for x in made_once.configurations(arm, 30, seed=5):
         a, b = x, x + 0.05 * np.random.default_rng(6).normal(size=len(x))
@@ -318,7 +318,7 @@ def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
 def test_a_message_says_that_a_piece_was_measured_where_it_decided():
     arm, x = arm_with_pieces(), jnp.zeros(6)
     own = (fixtures(arm, [("floor", HalfSpace(np.array([0.0, 0.0, 1.0]), np.array(0.3)))]),)
-    touch = jax.jit(lambda arm: contacts(arm, own, WHERE, x))
+    touch = quick_jit(lambda arm: contacts(arm, own, WHERE, x))
     rows, bare = Scene(arm, own).rows, dataclasses.replace(arm, pieces=None)
     found, capsules = touch(arm), np.asarray(touch(bare).distance)
     decided = np.asarray(by_pieces(arm, rows, found))
@@ -395,9 +395,9 @@ def test_a_piece_that_turns_about_the_axis_of_its_capsule_is_not_called_clear(ki
     a, b = jnp.array([-1.5, 0, 0]), jnp.array([1.5, 0.0, 0.0])
     near, far = (float(minimum_clearance(arm, (obstacle,), WHERE, jnp.array([x, 0, 0]))) for x in (np.pi / 2, 0.0))
     assert near < 0 < far
-    scene = Scene(arm, (obstacle,))
-    assert int(prove(scene, WHERE, a, b).verdict) == SegmentStatus.IN_COLLISION
-    assert int(prove(scene, WHERE, jnp.array([-0.3, 0, 0]), jnp.array([0.3, 0, 0])).verdict) == SegmentStatus.VALID
+    proved = quick_jit(lambda a, b: prove(Scene(arm, (obstacle,)), WHERE, a, b).verdict)
+    assert int(proved(a, b)) == SegmentStatus.IN_COLLISION
+    assert int(proved(jnp.array([-0.3, 0, 0]), jnp.array([0.3, 0, 0]))) == SegmentStatus.VALID
 
 
 def test_a_witness_is_a_point_of_the_cloud_also_where_rounding_meets_the_limit(tmp_path):

@@ -155,8 +155,8 @@ def test_the_gradient_is_that_of_the_distance_also_where_both_bodies_move():
 def test_a_contact_held_never_predicts_less_than_the_truth_and_the_truth_where_it_was_seen():
     robot = made_once.robot()
     rows, rng = rows_of(robot, obstacles()), np.random.default_rng(0)
-    hold = jax.jit(lambda robot, x, touch: hold_contacts(robot, x, rows, touch))
-    predict = jax.jit(lambda robot, x, held: predict_distances(robot, x, rows, held)[0])
+    hold = made_once.quick_jit(lambda robot, x, touch: hold_contacts(robot, x, rows, touch))
+    predict = made_once.quick_jit(lambda robot, x, held: predict_distances(robot, x, rows, held)[0])
     xs, touches = jax.tree.map(lambda leaf: leaf[60::2], (configurations(), answered().contacts))
     near = xs[:, None] + np.stack([rng.uniform(-0.1, 0.1, (4, 6)) for _ in xs])
     (truths,) = answers((clearances,), near.reshape(-1, 6))
@@ -196,7 +196,7 @@ def test_paths_are_clear_where_no_sample_of_them_touches_any_kind():
 def test_contacts_alone_answer_every_query():
     robot, where, floor = made_once.robot(), made_once.nominal(), Floor(jnp.asarray(0.0))
 
-    @partial(jax.jit, static_argnums=0)
+    @partial(made_once.quick_jit, static_argnums=0)
     def answer(of, xs):
         along = jax.vmap(lambda x: bodies_at(robot, where, x))(xs)
         each = [jax.vmap(lambda bodies, query=query: getattr(of, query)(floor, robot, where, bodies))(along)

@@ -5,6 +5,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 import test_known_rows
@@ -20,7 +21,6 @@ from htcp_jax.clearance.obstacles.obstacles import clearance_rows
 from htcp_jax.clearance.obstacles.of_workpiece import Interior, with_interior
 from htcp_jax.clearance.obstacles.self_collision import SelfCollision
 from htcp_jax.cli import typical_jobs
-from htcp_jax.device.executor import QUICK
 from htcp_jax.model import Robot
 from htcp_jax.model.robot import FAR_M
 from htcp_jax.model.scenario import stack
@@ -81,7 +81,7 @@ def test_padding_changes_no_clearance_and_is_far_from_everything():
         """Return the results of three programs; one program for all would take twice as long to compile."""
         x = jnp.asarray(test_known_rows.paths()[1][:40])
         each = (lambda x, query=query: query(*scene[:2], where, x) for query in (contacts, clearance_rows, is_clear))
-        return [jax.jit(partial(jax.lax.map, at), compiler_options=QUICK["cpu"])(x) for at in each]
+        return [made_once.quick_jit(partial(jax.lax.map, at))(x) for at in each]
 
     (known, exact, clear), (found, near, padded_clear) = measured(plain), measured(padded)
     for name in ("distance", "point", "normal", "radius", "plane"):

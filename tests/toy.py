@@ -65,10 +65,10 @@ def scene() -> Scene:
     return Scene(robot(), make_obstacle(workpiece()))
 
 
-def scenario(number: int = 0, start=START, approach: tuple[int, int] = (2, 2), **changes) -> Scenario:
-    """Scenario with 2 targets before the path."""
+def scenario(number: int = 0, start=START, approach: tuple[int, int] = (2, 2), part=None, **changes) -> Scenario:
+    """Scenario with 2 targets before the path, at the shelf or another part."""
     choices = {"rotation": (0.0, 0.0), "approach": approach, "number": number} | changes
-    return make_scenario(robot(), workpiece(), start, **choices)
+    return make_scenario(robot(), part or workpiece(), start, **choices)
 
 
 @cache
