@@ -517,7 +517,7 @@ def test_the_check_says_of_every_configuration_what_measuring_each_says(plans, h
     Most samples are decided by how far the arm has moved; some motions swing into the part and out of the limits.
     """
     folder = changed(plans, here / "other", cell={"self_collision": self_collision})
-    timed = program_of(open_plans(folder), 0.05).program.timed(5e-3)
+    timed = program_of(open_plans(folder), 0.05).program.timed(2e-3)
     swing = np.sin(np.linspace(0, 6 * np.pi, len(timed.x)))[:, None] * np.array([0.5, 0.2, 0.3, 0.4, 1.5, 0.5])
     results = read_results(folder)
     (track,) = results.tracks

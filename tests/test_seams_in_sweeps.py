@@ -55,7 +55,7 @@ def swept(tmp_path_factory):
 @pytest.fixture(scope="module")
 def placed(tmp_path_factory):
     """Result of a search with two mountings, in the folder `out` next to its job."""
-    return place(tmp_path_factory.mktemp("placed"), "out", within={"scenarios": 4}, tolerances=0)
+    return place(tmp_path_factory.mktemp("placed"), "out", within={"scenarios": 4})
 
 
 def test_each_combination_has_a_row_for_each_seam_in_the_order_of_the_list(swept):
