@@ -3,8 +3,7 @@
 import numpy as np
 
 from htcp_jax.device import tables
-from htcp_jax.motion import Plans, Problem, step_functions
-from htcp_jax.motion.measured_rows import Placement, task_errors
+from htcp_jax.motion import Plans, Problem, measured_rows, step_functions
 from htcp_jax.planning.tracking.lanes import Lanes
 from htcp_jax.status import Status
 
@@ -56,7 +55,7 @@ def with_separate_errors(problem: Problem, plans: Plans) -> Plans:
     if not problem.task.holds_angles or not plans.tracked.any():
         return plans
     s, t = np.nonzero(plans.tracked)
-    where, goals = tables.gather(Placement.of(problem.scenarios), s), problem.scenarios.task_goals[s, t]
+    where, goals = tables.gather(measured_rows.Placement.of(problem.scenarios), s), problem.scenarios.task_goals[s, t]
     residual, angle = plans.residual.copy(), plans.orientation_error.copy()
-    residual[s, t], angle[s, t], _ = task_errors(problem.robot, problem.task, where, plans.x[s, t], goals)
+    residual[s, t], angle[s, t], _ = measured_rows.task_errors(problem.robot, problem.task, where, plans.x[s, t], goals)
     return plans._replace(residual=residual, orientation_error=angle)
