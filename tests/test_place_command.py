@@ -65,7 +65,7 @@ def test_without_a_mounting_it_exits_with_3_and_says_which_seam_prevents_the_bes
     text, seams = "place: {workpiece.shift_m.x: [0.4, 0.5]}", ("--set", SEAMS)
     assert place(text, *seams) == 3
     output = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 seams; prevented by behind (" in output and "path 2, behind 0" in output
+    assert "1 of 2 seams; prevented by behind (" in output and "path: 2, behind: 0" in output
     assert place(text, *seams, "--json") == 3
     reported = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert reported["ranked"] == [] and reported["seams"]["path"] == {"complete": 2, "in_the_best": 1.0}
