@@ -20,7 +20,7 @@ CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp
 
 demo: $(VENV)/.installed  ## plan the default job, and compile what the first plans of other jobs need
 	$(VENV)/bin/htcp plan
-	@echo "Next: programs for your own jobs, two minutes on two cores. Ctrl-C ends it; .venv/bin/htcp prepare does the rest later"
+	@echo "Next: programs for your own jobs, over two minutes on two cores. Ctrl-C ends it; .venv/bin/htcp prepare does the rest later"
 	$(VENV)/bin/htcp prepare
 
 lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations, types
