@@ -14,8 +14,8 @@ def prepare(device: Device = None) -> int:
 
     For arms with six to eight joints and convex pieces of their meshes, a part from a mesh, planes and boxes, and a
     direction or a cone of the tool; docs/installation.md has their sizes. Other jobs compile what they need at their
-    first plan. Takes over two minutes on two cores; again, or after an interruption, only what is missing. Writes only to
-    the compile cache.
+    first plan. Takes over two minutes on two cores; again, or after an interruption, only what is missing. Writes only
+    to the compile cache.
 
     Exit codes: 0, 2 on bad input, 130 or 143 after a signal.
 
