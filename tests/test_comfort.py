@@ -11,6 +11,7 @@ from htcp_jax.caching import cache_folder, cache_key
 from htcp_jax.cli import main, self_test
 from htcp_jax.cli.main import app
 from htcp_jax.cli.methods import complete_methods
+from htcp_jax.device.executor import warn_if_unprepared
 from htcp_jax.planning.registry import descriptions
 
 SHORT = ["--set", "workpiece.path=path.csv", "--set", "method=baseline"]
@@ -101,6 +102,9 @@ def test_the_doctor_tells_what_is_there(capsys, opengl, tmp_path):
         shown = capsys.readouterr().out
         cache_folder.write(cache_key.preparation_key(jax.devices()[0]), b"")
         assert json_of(capsys, ["doctor"])["cache"]["prepared"]
+        warn_if_unprepared(6, 16, jax.devices()[0])
+        with pytest.warns(UserWarning, match="with 6 joints, htcp prepare covers at most 16 bodies"):
+            warn_if_unprepared(6, 24, jax.devices()[0])
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
     assert found["sound"] and found["versions"]["jax"] == jax.__version__ and found["dtype"] == "float64"

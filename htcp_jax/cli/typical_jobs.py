@@ -21,13 +21,14 @@ from htcp_jax.clearance.obstacles import SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.io.robots import gp50
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, body_pieces, kinematics, make_piece
+from htcp_jax.model import robot as robots
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.planning import batch
 from htcp_jax.reachability import obstruction
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
-BODIES, PAIRS = {6: 16, 7: 24, 8: 24}, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
+BODIES, PAIRS = robots.PREPARED_BODIES, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
 COMPLETE = 6  # number of joints for which functions that follow dead ends and failed plans are compiled, too
 AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
 CORNERS = 48  # at each end of a body's convex piece, which is a prism

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import jax
 import numpy as np
 
 from htcp_jax.backend import Backend, compiled_for, default_device
-from htcp_jax.caching import cache_folder, program_key, source_key
+from htcp_jax.caching import cache_folder, preparation_key, program_key, source_key
 from htcp_jax.clearance import Scene
 from htcp_jax.clearance.obstacles import with_interior
 from htcp_jax.device import kept_executables
@@ -23,6 +23,7 @@ from htcp_jax.device.devices import cores
 from htcp_jax.device.lane_function import TRACKED, LaneFunction
 from htcp_jax.device.tables import concatenate, gather, pad
 from htcp_jax.model import Task, kinematics
+from htcp_jax.model import robot as robots
 from htcp_jax.settings import Settings
 from htcp_jax.types import Int
 
@@ -127,6 +128,9 @@ class ExecutableCache:
         source = source_key(lane_function, values, device, options, *about) if keeps else None
         if found := kept_executables.find(source, device, arguments):
             return found
+        robot = arguments[0].robot
+        if keeps and robot.pieces is not None:
+            warn_if_unprepared(robot.dof, len(robot.capsule_link), device)
         with COMPILATIONS.compiling():
             with self._tracing, compiled_for(Backend.of(device.platform)):
                 lowered = lane_function.jitted(settings, device).lower(*arguments)
@@ -148,6 +152,27 @@ class ExecutableCache:
             for oldest in list(self._compiled)[: -self._most]:
                 del self._compiled[oldest]
                 self._compiling.pop(oldest, None)
+
+
+@cache
+def warn_if_unprepared(joints: int, bodies: int, device: jax.Device) -> None:
+    """Warn once of an arm that compiles its own programs, as it has more bodies than `htcp prepare` compiles for.
+
+    Without a note of `htcp prepare` for the device there is no warning.
+
+    Args:
+        joints: Number of the arm's joints.
+        bodies: Number of its bodies, with padding.
+        device: The device.
+    """
+    most = robots.PREPARED_BODIES.get(joints, bodies)
+    key = preparation_key(device) if bodies > most else None
+    if key is not None and cache_folder.read(key) is not None:
+        warnings.warn(
+            f"this arm compiles programs of its own: with {joints} joints, htcp prepare covers at most {most} bodies, "
+            "tool included; htcp robot --most 2 makes fewer",
+            stacklevel=2,
+        )
 
 
 EXECUTABLES = ExecutableCache(on_disk=True)  # executables of this process, shared by all plans

@@ -26,6 +26,7 @@ from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Joints, Pose, Scal
 FAR_M = 1e6  # distance between bodies that are not tested against each other
 BODIES = 8  # programs are compiled for a multiple of this number of bodies,
 MORE_BODIES = 24  # and for at least this number for an arm with more than six joints and more than BODIES bodies
+PREPARED_BODIES = {6: 16, 7: MORE_BODIES, 8: MORE_BODIES}  # most bodies that `htcp prepare` compiles for, by joints
 TOUCHING_M = 1e-3  # allowed overlap of meshes that touch by design
 _STATIC = {"static": True}
 
