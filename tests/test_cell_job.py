@@ -21,6 +21,7 @@ from test_self_collision import CHAIN
 import htcp_jax
 from htcp_jax.clearance import minimum_clearance
 from htcp_jax.clearance.distance.solids import Box
+from htcp_jax.clearance.obstacles.fixtures import fixtures
 from htcp_jax.clearance.obstacles.of_cell import PlacedCloud, make_fixtures, solid_of
 from htcp_jax.cli import main
 from htcp_jax.errors import InputError
@@ -51,6 +52,13 @@ CELL = f"""<mujoco><worldbody>
 def cell(tmp_path):
     (tmp_path / "cell.xml").write_text(CELL)
     return tmp_path / "cell.xml"
+
+
+@pytest.mark.parametrize(("top_m", "stated"), [(0.0, None), (0.6, "capsule_1 deep in the fixture 'table'")])
+def test_a_first_link_that_is_deep_in_a_table_is_stated_as_not_checked_and_one_that_stands_on_it_is_not(top_m, stated):
+    table = Box(np.eye(3), np.array([0.0, 0.0, top_m - 0.5]), np.full(3, 0.5))
+    facts = build.checked_facts(made_once.robot(), (fixtures(made_once.robot(), [("table", table)]),))
+    assert facts.get("not checked") == (stated and f"{stated}: fixed bodies are not tested")
 
 
 def test_an_arm_of_one_s_own_keeps_clear_of_itself_and_the_gp50_where_it_is_asked_to(tmp_path):

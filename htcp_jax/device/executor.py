@@ -128,9 +128,9 @@ class ExecutableCache:
         source = source_key(lane_function, values, device, options, *about) if keeps else None
         if found := kept_executables.find(source, device, arguments):
             return found
-        robot = arguments[0].robot
-        if keeps and robot.pieces is not None:
-            warn_if_unprepared(robot.dof, len(robot.capsule_link), device)
+        scene = arguments[0]
+        if keeps and isinstance(scene, Scene) and scene.robot.pieces is not None:
+            warn_if_unprepared(scene.robot.dof, len(scene.robot.capsule_link), device)
         with COMPILATIONS.compiling():
             with self._tracing, compiled_for(Backend.of(device.platform)):
                 lowered = lane_function.jitted(settings, device).lower(*arguments)

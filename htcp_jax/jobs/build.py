@@ -403,6 +403,7 @@ def checked_facts(robot: Robot, obstacles: Obstacles, *, is_tree: bool = False) 
     if robot.ignored_geoms and not is_tree:
         ignored = ", ".join(robot.ignored_geoms)
         unchecked.append(f"{ignored}: no capsule or sphere; convert the arm with htcp robot")
+    unchecked += [f"{each.sunk}: fixed bodies are not tested" for each in obstacles if each.sunk]
     if unchecked:
         facts = {"not checked": "; ".join(unchecked)} | facts
     if robot.pieces is not None:

@@ -30,6 +30,7 @@ from htcp_jax.types import Array, Bool, Float, Int, Scalar
 
 SIDES = 48  # sides of the prism about a cylinder, which is 0.2 % wider than the cylinder
 CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))
+SUNK_M = 0.01  # depth of a fixed body's axis in a solid above which the overlap is stated [m]
 
 Ends = Float[Array, "K 3"]
 
@@ -49,6 +50,7 @@ class Fixtures(Obstacle):
     counts: Int[jax.Array, "kinds"]  # numbers of simple solids by kind, without padding
     names: tuple[str, ...] = field(metadata=LABEL)  # names of the solids in the rows of `is_checked`; "" for padding
     solids: ConvexPiece | None = None  # all solids except half-spaces, in the order of `names`; for an arm with pieces
+    sunk: str = field(default="", metadata=LABEL)  # bodies that are not checked, and the solids in which they are deep
 
     in_pairs = True
     is_exact = True
@@ -148,12 +150,16 @@ def fixtures(
     links = np.array(robot.capsule_link)
     without = np.array([np.isin(links, [*excluded.get(row.name, ())]) for row in rows])
     is_checked = np.array([row.is_checked for row in rows])[:, None] & (links >= 0)[None] & ~without
-    for body in np.flatnonzero(_may_stand(robot)).tolist():
-        is_checked[:, body] &= ~_stands(robot, body, rows)
+    may_stand, radius, sunk = _may_stand(robot), np.asarray(robot.capsule_radius), list[str]()
+    for body in np.flatnonzero(may_stand | _is_fixed(robot)).tolist():
+        distance = _axis_distances(robot, body, rows)
+        is_checked[:, body] &= distance > radius[body]
+        deep = [row.name for row, own in zip(rows, distance, strict=True) if row.is_checked and own < -SUNK_M]
+        sunk += [f"{robot.capsule_names[body]} deep in the fixture {name!r}" for name in deep]
     names = tuple(row.name for row in rows)
     counts = np.array([sum(row.is_checked for row in own) for own in stacks[:-1] if own], np.int32)
     balls, mask, counts = jax.device_put((balls, is_checked, counts))
-    return Fixtures(tuple(simple), pieces, balls, mask, counts, names, _as_pieces(robot, rows))
+    return Fixtures(tuple(simple), pieces, balls, mask, counts, names, _as_pieces(robot, rows), ", ".join(sunk))
 
 
 class _Row(NamedTuple):
@@ -170,14 +176,15 @@ def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
     return rows + [_Row("", rows[-1].solid, False)] * (table_size(len(rows), 4, 4) - len(rows)) if rows else []
 
 
-def _stands(robot: Robot, body: int, rows: list[_Row]) -> Bool[np.ndarray, "G"]:
-    """Return True for solids that a body of a link on the root touches at x = 0."""
-    T, radius = np.asarray(robot.T_parent_joint)[0], np.asarray(robot.capsule_radius)[body]
-    if robot.coupling is not None:  # a joint that follows need not be at 0
-        T = np.asarray(kinematics.link_poses(robot, jnp.zeros(robot.dof)))[robot.capsule_link[body]]
+def _axis_distances(robot: Robot, body: int, rows: list[_Row]) -> Float[np.ndarray, "G"]:
+    """Return the signed distance of each solid to the axis of a body of the base, or of a link on the root at x = 0."""
+    link = robot.capsule_link[body]
+    T = np.eye(4) if link < 0 else np.asarray(robot.T_parent_joint)[0]
+    if link >= 0 and robot.coupling is not None:  # a joint that follows need not be at 0
+        T = np.asarray(kinematics.link_poses(robot, jnp.zeros(robot.dof)))[link]
     p, q = (T[:3, :3] @ np.asarray(end)[body] + T[:3, 3] for end in (robot.capsule_p, robot.capsule_q))
     alone = (jax.tree.map(lambda leaf: leaf[0], _host_stacked([row.solid])) for row in rows)
-    return np.array([np.asarray(_distance(solid, p, q)) <= radius for solid in alone])
+    return np.array([float(_distance(solid, p, q)) for solid in alone])
 
 
 _distance = jax.jit(lambda solid, p, q: solid.contact(p, q).distance)  # compiled once per kind of solid
@@ -188,6 +195,12 @@ def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
     if robot.part_moves:
         return np.zeros(len(robot.capsule_link), bool)
     return np.isin(robot.capsule_link, robot.root_links) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
+
+
+def _is_fixed(robot: Robot) -> Bool[np.ndarray, "K"]:
+    """Return True for bodies of the base, or none if the arm moves the part."""
+    bodies = np.arange(len(robot.capsule_link))
+    return (np.array(robot.capsule_link) < 0) & ~np.isin(bodies, robot.attached) & (not robot.part_moves)
 
 
 def _as_pieces(robot: Robot, rows: list[_Row]) -> ConvexPiece | None:
