@@ -150,8 +150,8 @@ def fixtures(
     links = np.array(robot.capsule_link)
     without = np.array([np.isin(links, [*excluded.get(row.name, ())]) for row in rows])
     is_checked = np.array([row.is_checked for row in rows])[:, None] & (links >= 0)[None] & ~without
-    may_stand, radius, sunk = _may_stand(robot), np.asarray(robot.capsule_radius), list[str]()
-    for body in np.flatnonzero(may_stand | _is_fixed(robot)).tolist():
+    radius, sunk = np.asarray(robot.capsule_radius), list[str]()
+    for body in np.flatnonzero(_may_stand(robot)).tolist():
         distance = _axis_distances(robot, body, rows)
         is_checked[:, body] &= distance > radius[body]
         deep = [row.name for row, own in zip(rows, distance, strict=True) if row.is_checked and own < -SUNK_M]
@@ -191,16 +191,11 @@ _distance = jax.jit(lambda solid, p, q: solid.contact(p, q).distance)  # compile
 
 
 def _may_stand(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Return True for bodies that may stand on a solid: of links on the root, or none if the arm moves the part."""
+    """Return True for bodies of the base and of links on the root, or none if the arm moves the part."""
+    links, bodies = np.array(robot.capsule_link), np.arange(len(robot.capsule_link))
     if robot.part_moves:
-        return np.zeros(len(robot.capsule_link), bool)
-    return np.isin(robot.capsule_link, robot.root_links) & ~np.isin(np.arange(len(robot.capsule_link)), robot.attached)
-
-
-def _is_fixed(robot: Robot) -> Bool[np.ndarray, "K"]:
-    """Return True for bodies of the base, or none if the arm moves the part."""
-    bodies = np.arange(len(robot.capsule_link))
-    return (np.array(robot.capsule_link) < 0) & ~np.isin(bodies, robot.attached) & (not robot.part_moves)
+        return np.zeros(len(bodies), bool)
+    return ((links < 0) | np.isin(links, robot.root_links)) & ~np.isin(bodies, robot.attached)
 
 
 def _as_pieces(robot: Robot, rows: list[_Row]) -> ConvexPiece | None:
