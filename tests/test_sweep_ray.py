@@ -19,7 +19,9 @@ from htcp_jax.cli import main
 from htcp_jax.errors import InputError
 from htcp_jax.runs import open_run
 from htcp_jax.runs.provenance import planned_by
+from htcp_jax.runs.ray_ import execution_of
 from htcp_jax.runs.sweep import device_of, sweep
+from htcp_jax.spec.config import RayConfig
 
 ray = pytest.importorskip("ray", reason="Ray is an extra")
 WORKING = "ray::_plan_shard"
@@ -156,6 +158,14 @@ def test_a_device_next_to_ray_and_gpus_that_this_machine_has_not_are_one_line(he
         assert main(["sweep", "grid.yaml", "--on", "ray", "--out", "run", *words]) == 2
         assert capsys.readouterr().err == f"htcp: {line}\n"
         assert not (here / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "qps, threads", [(["device"], None), (["device", "clarabel"], 8)], ids=["on the gpu", "one on the cpu"]
+)
+def test_a_gpu_that_solves_its_qps_needs_no_threads_for_the_cores_of_a_shard(qps, threads):
+    assert execution_of(RayConfig(num_cpus=8, num_gpus=1), *qps).threads == threads
+    assert execution_of(RayConfig(num_cpus=8), *qps).threads == 8
 
 
 def test_with_ray_the_command_leaves_gpus_to_the_workers():
