@@ -11,7 +11,7 @@ COMMA := ,
 PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
 	$(if $(WHOLE),--jaxtyping-packages=htcp_jax$(COMMA)beartype.beartype)
 # Tests that read files only: without JAX, annotations and the fixtures of the others.
-TEXT = --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutdir=tests/text tests/text
+TEXT = --numprocesses logical --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutdir=tests/text tests/text
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp cma_es cli)
 

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
-from lint import PACKAGE, imports_in, public_names
+from lint import PACKAGE, imports_in, nodes_in, nodes_of, public_names
 
 ROOT = Path(__file__).resolve().parents[1]
 READ = "docs", "configs", "sweeps", "notebooks", "README.md", "CONTRIBUTING.md"  # what tests read as text
@@ -97,7 +97,7 @@ def _takes(text: str, fixture: str) -> bool:
 
 def _package_imports(file: Path, package: Path, modules: Iterable[str]) -> set[str]:
     """Return the modules of the package that a file imports, or whose name is a string in it."""
-    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    nodes = nodes_in(file)
     found = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     for node in nodes:
         for module, name in imports_in(node):
@@ -118,7 +118,7 @@ def _loaded(package: Path, module: str, name: str) -> frozenset[str]:
 def _names(text: str) -> set[str]:
     """Return the modules that a file imports, without the package's."""
     found = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in nodes_of(text):
         if isinstance(node, ast.Import):
             found |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -36,7 +36,7 @@ brackets behind the field or in the docstring.
 import ast
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -179,7 +179,7 @@ def public_faults(package: Path) -> Iterator[str]:
         name = _dotted(file.relative_to(package))
         if file.stem == "__init__" and name in PACKAGES and not file.with_suffix(".pyi").is_file():
             yield f"{name}: no __init__.pyi with its public names"
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in nodes_in(file):
             for home, imported in imports_in(node):
                 other = home.partition(".")[0]
                 foreign = other in PACKAGES and other != name.partition(".")[0]
@@ -192,7 +192,7 @@ def library_faults(package: Path) -> Iterator[str]:
     """Imports of libraries that a package must not use."""
     for folder in ("system", "spec", *CORE):
         for file in sorted((package / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for node in nodes_in(file):
                 modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 modules += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
                 for library in sorted({module.partition(".")[0] for module in modules}):
@@ -209,20 +209,19 @@ def _is_outside(folder: str, library: str) -> bool:
 def validation_faults(package: Path) -> Iterator[str]:
     """Imports of `validation` that TO_VALIDATION does not list."""
     for file in sorted((package / "validation").rglob("*.py")):
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        for home, name in sorted(set(_used(tree, package))):
+        for home, name in sorted(set(_used(nodes_in(file), package))):
             known = {each for names in TO_VALIDATION.get(home, {}) for each in names.split()}
             if home != "validation" and not known & {name, "*"}:
                 here = _dotted(file.relative_to(package))
                 yield f"{here} imports {name} of {home}, which is not in TO_VALIDATION"
 
 
-def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
+def _used(nodes: Sequence[ast.AST], package: Path) -> Iterator[tuple[str, str]]:
     """Names that a module imports from other packages, each with the folder, or the module at the root. A public module
     counts by the names that are used of it; by its own name if it is used in any other way."""
-    names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-    attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
-    for node in ast.walk(tree):
+    names = [node for node in nodes if isinstance(node, ast.Name)]
+    attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
+    for node in nodes:
         local = {
             alias.name: alias.asname or alias.name for alias in getattr(node, "names", []) if hasattr(alias, "name")
         }
@@ -237,6 +236,17 @@ def _used(tree: ast.Module, package: Path) -> Iterator[tuple[str, str]]:
                 yield home, name
 
 
+def nodes_in(file: Path) -> Sequence[ast.AST]:
+    """All nodes of a file's source, see `nodes_of`."""
+    return nodes_of(file.read_text(encoding="utf-8"))
+
+
+@cache
+def nodes_of(text: str) -> Sequence[ast.AST]:
+    """All nodes of a source text; the first is the module."""
+    return tuple(ast.walk(ast.parse(text)))
+
+
 def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
     """Names that a statement or a call of `import_module` imports from the package, each with the dotted module within
     it. "" is the package itself, or the name of a module that is imported as a module."""
@@ -244,7 +254,7 @@ def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
         modules = [(alias.name, "") for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
         modules = [(str(node.module), alias.name) for alias in node.names]
-    elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+    elif isinstance(node, ast.Call) and "import_module" in (getattr(node.func, key, "") for key in ("id", "attr")):
         called = [one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
         modules = [module.rpartition(".")[::2] for module in called]
     else:
@@ -276,7 +286,7 @@ def _exists(package: Path, target: str, unit: str) -> bool:
     if _file(package.parent, target) is not None or (module != unit and name in public_names(package, module)):
         return True
     file = _file(package.parent, module)
-    body = ast.parse(file.read_text(encoding="utf-8")).body if file else []
+    body = nodes_in(file)[0].body if file else []
     bound = {getattr(node, "name", "") for node in body}
     targets = [one for node in body for one in getattr(node, "targets", [getattr(node, "target", None)]) if one]
     return name in bound | {one.id for each in targets for one in ast.walk(each) if isinstance(one, ast.Name)}
@@ -286,7 +296,7 @@ def file_faults(package: Path) -> Iterator[str]:
     """Calls in a package's files that open, read or write a file other than through `system/files.py`."""
     for file in sorted(package.rglob("*.py")):
         name = _dotted(file.relative_to(package))
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if name not in OWN_FILES else ():
+        for node in nodes_in(file) if name not in OWN_FILES else ():
             if isinstance(node, ast.Call) and OPENS.search(call := ast.unparse(node.func)):
                 yield f"{name}, line {node.lineno}: {call}; system/files.py has what is needed"
 
@@ -314,7 +324,7 @@ def _dotted(file: Path) -> str:
 def _imported(file: Path, package: Path, known: set[str]) -> set[str]:
     """The `known` modules that a file imports; a public name counts as its module."""
     found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes_in(file):
         for module, name in imports_in(node):
             target = public_names(package, module).get(name, "") if module else ""
             found |= {module, f"{module}.{name}".strip("."), target, target.rpartition(".")[0]}
@@ -350,11 +360,10 @@ def public(root: Path) -> dict[str, Public]:
     for name, is_mathematics in sorted(_named(root).items()):
         module, _, own = name.rpartition(".")
         if (file := _file(root, module)) is not None:
-            text = file.read_text(encoding="utf-8")
-            tree = ast.parse(text)
+            tree = nodes_in(file)[0]
             node = next((n for n in tree.body if getattr(n, "name", None) == own), None)
             if node is not None:
-                found[name] = Public(node, tree, text.splitlines(), is_mathematics)
+                found[name] = Public(node, tree, file.read_text(encoding="utf-8").splitlines(), is_mathematics)
     return found
 
 
@@ -378,8 +387,7 @@ def _shown(page: str, root: Path) -> Iterator[str]:
         elif members:
             yield from (f"{name}.{member.strip()}" for member in members.group(1).split(",") if member.strip())
         else:
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            own = [node.name for node in tree.body if isinstance(node, (*FUNCTIONS, ast.ClassDef))]
+            own = [node.name for node in nodes_in(file)[0].body if isinstance(node, (*FUNCTIONS, ast.ClassDef))]
             yield from (f"{name}.{each}" for each in own if not each.startswith("_"))
 
 
