@@ -34,6 +34,7 @@ import sys
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -199,6 +200,16 @@ def _lines(text: str, changed: str) -> tuple[str, str]:
     raise AssertionError("the complete file is unique")
 
 
+@cache
+def _public(package: str) -> dict[str, str]:
+    """Return the module of each public name of a package, by its stub."""
+    stub = ROOT / package.replace(".", "/") / "__init__.pyi"
+    tree = ast.parse(stub.read_text(encoding="utf-8") if stub.is_file() else "")
+    nodes = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module]
+    return {alias.name: f"{package}.{node.module}" for node in nodes for alias in node.names}
+
+
+@cache
 def _imported(file: Path) -> dict[str, int]:
     """Return the number of uses of imported names, by module of the package from which a file imports them."""
     tree, names = ast.parse(file.read_text(encoding="utf-8")), {}
@@ -207,7 +218,8 @@ def _imported(file: Path) -> dict[str, int]:
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 is_module = (ROOT / f"{whole.replace('.', '/')}.py").is_file()
-                names[alias.asname or alias.name] = whole if is_module else node.module
+                home = _public(node.module).get(alias.name, node.module)
+                names[alias.asname or alias.name] = whole if is_module else home
     uses = dict.fromkeys(names.values(), 0)
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and node.id in names:
@@ -215,6 +227,7 @@ def _imported(file: Path) -> dict[str, int]:
     return uses
 
 
+@cache
 def _has_quick_test(file: Path) -> bool:
     """Return True if a file has a test that is not marked slow."""
     nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
