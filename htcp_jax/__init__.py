@@ -29,14 +29,17 @@ import lazy_loader
 _imported_s = time.time()  # source files changed later may differ from the imported code, see `cache_key`
 
 # On a CPU, XLA compiles a loop to a series of small kernels, which its thread pool or a library (YNNPACK) runs one by
-# one. Our loops consist of hundreds of tiny kernels. With these flags each loop is one native function. It takes half
-# the time, and threads that run executables do not wait for each other. JAX reads the flags when it starts, so they
-# are set before. A value that the user has set is not changed.
-os.environ.setdefault(
-    "XLA_FLAGS",
+# one. Our loops consist of hundreds of tiny kernels. With these flags each loop is one native function. It takes less
+# than half the time, and threads that run executables do not wait for each other. JAX reads the flags when it starts,
+# so they are set before. A flag that the user has set is not changed.
+_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000000000000"
-    ",xla_cpu_disable_loop_unrolling=true --xla_cpu_experimental_ynn_fusion_type=",
+    ",xla_cpu_disable_loop_unrolling=true",
+    "--xla_cpu_experimental_ynn_fusion_type=",
 )
+_given = os.environ.get("XLA_FLAGS", "")
+_own = (flag for flag in _FLAGS if flag.partition("=")[0] not in _given)
+os.environ["XLA_FLAGS"] = " ".join([*([_given] if _given else []), *_own])
 
 # 64-bit floats: clearances of 0.1 mm decide results. 32-bit floats resolve 0.1 um at 2 m, and the step QPs lose more
 # digits. JAX is not imported here, because the command installs its signal handlers first.

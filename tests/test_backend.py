@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
+import pytest
 
 from htcp_jax.backend import Backend, backend, compiled_for
 from htcp_jax.device import Executor
@@ -101,3 +102,26 @@ assert jnp.zeros(1).device == default_device() == first and jax.config.jax_defau
 def test_arrays_are_made_on_the_chosen_device_as_long_as_it_is_chosen():
     flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", TWO_DEVICES], env=os.environ | flags, check=True)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "",
+        "--xla_force_host_platform_device_count=2",
+        "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling=false",
+    ],
+    ids=["none", "another flag", "one of ours"],
+)
+def test_flags_of_the_user_for_xla_are_kept_and_ours_are_added_once(given):
+    code = "import os, htcp_jax; print(os.environ['XLA_FLAGS'])"
+    flags, found = given, []
+    for _ in range(2):  # a process, and one that it starts
+        env = os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(ROOT)}
+        done = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True)
+        flags = done.stdout.strip()
+        found.append(flags)
+    assert found[0] == found[1] and found[0].startswith(given)
+    names = [flag.partition("=")[0] for flag in found[0].removeprefix(given).split()]
+    ours = ["--xla_backend_extra_options", "--xla_cpu_experimental_ynn_fusion_type"]
+    assert names == [name for name in ours if name not in given]
