@@ -111,14 +111,16 @@ def test_the_next_command_follows_from_the_reason():
     assert not failure_texts.next_step(_end(Status.TIP_BLOCKED), seen, {}, job, "job.yaml")
 
 
-@pytest.mark.parametrize("tried", [Tried(configurations=512), Tried(excluded=Exclusion.ARM)])
-@pytest.mark.parametrize("target", [3, 5])  # the failed target, or the path's first point after it
-def test_a_longer_search_is_not_advised_for_a_target_without_a_clear_configuration(tried, target):
-    job, lost = load_config(None), _end(Status.RECOVERY_EXHAUSTED)
-    line = failure_texts.next_step(lost, None, {target: tried}, job, "job.yaml")["next"]
-    assert line.startswith("htcp reachability job.yaml --each ") and "htcp place" in line
-    found = {target: tried._replace(found=1, excluded=Exclusion.NONE)}
-    assert "settings.effort=8" in failure_texts.next_step(lost, None, found, job, "job.yaml")["next"]
+def test_a_longer_search_is_not_advised_for_a_target_without_a_known_clear_configuration():
+    job, lost, found = load_config(None), _end(Status.RECOVERY_EXHAUSTED), _end(Status.PATH_BLOCKED)
+    proof = Tried(excluded=Exclusion.ARM)
+    at_failed, at_path_behind_it = {3: proof}, {5: proof}
+    for end, tried in ((lost, {}), (lost, {3: Tried()}), (lost, at_failed), (found, at_path_behind_it)):
+        line = failure_texts.next_step(end, None, tried, job, "job.yaml")["next"]
+        assert line.startswith("htcp reachability job.yaml --each ") and "htcp place" in line
+    assert "settings.effort=8" in failure_texts.next_step(found, None, {2: proof}, job, "job.yaml")["next"]
+    without_search = load_config(None, ["settings.effort=0"])
+    assert "settings.effort=2" in failure_texts.next_step(lost, None, {}, without_search, "job.yaml")["next"]
 
 
 def test_a_start_that_lacks_less_than_half_of_the_margin_is_tried_with_other_random_configurations():

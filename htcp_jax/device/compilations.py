@@ -52,7 +52,7 @@ class Compilations:
 
     @contextmanager
     def growing(self) -> Iterator[None]:
-        """While the context is open, more programs will be requested: `text` has neither their number nor a time."""
+        """While the context is open, more programs will be requested, so that `text` has no time."""
         self._is_growing = True
         try:
             yield
@@ -76,11 +76,12 @@ class Compilations:
             begun, done, requested = list(self._begun.values()), list(self._seconds), self._requested
         if not begun:
             return ""
+        least = "at least " if self._is_growing else ""
+        text = f"compiling {len(done) + 1} of {least}{len(done) + len(begun) + requested} programs"
         if self._is_growing:
-            return f"compiling, {len(done)} programs done"
+            return text
         each, now = (USUAL_S + sum(done)) / (1 + len(done)), time.monotonic()
         left = requested * each + sum(max(each - (now - began), (now - began) / 2) for began in begun)
-        text = f"compiling {len(done) + 1} of {len(done) + len(begun) + requested} programs"
         return f"{text}, about {max(1, round(left / len(begun)))} s"
 
 

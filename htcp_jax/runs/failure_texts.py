@@ -142,10 +142,8 @@ def next_step(
         return {"next": f"{each}   searches longer, or proves that nothing reaches a target; htcp place moves the part"}
     if end.status not in MEASURED:
         return {}
-    tried = [own for target, own in dead_ends.items() if target >= (end.failed or 0)]
-    is_clear = end.status == Status.PATH_BLOCKED or (refused is not None and refused.verdict == SegmentStatus.VALID)
-    is_found = is_clear or not tried or any(own.found for own in tried)
-    if any(own.excluded for own in tried) or (change := _change(refused, job, is_found)) is None:
+    is_excluded = any(own.excluded for target, own in dead_ends.items() if target >= (end.failed or 0))
+    if is_excluded or (change := _change(end, refused, job)) is None:
         return {"next": f"{each}   tests every target, and names what prevents it; htcp place moves the part"}
     return {"next": _planned(given, *change)}
 
@@ -159,16 +157,11 @@ def _planned(given: str, change: str, why: str) -> str:
     return f"{shlex.join(['htcp', 'plan', *job, *changes])}   {why}"
 
 
-def _change(refused: RefusedSegment | None, job: PlanConfig, is_found: bool) -> tuple[str, str] | None:
-    """Return the change of one key that is the most likely to help, and what it does; None if none is.
-
-    Args:
-        refused: The segment to the failed target, if it was measured.
-        job: The job.
-        is_found: False if the search found no clear configuration there; a longer one would not, either.
-    """
+def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
+    """Return the change of one key that is the most likely to help, and what it does; None if none is."""
     settings, by_beam = job.settings, job.method == "beam"
-    if refused is not None and refused.verdict == SegmentStatus.VALID:
+    is_clear = refused is not None and refused.verdict == SegmentStatus.VALID
+    if refused is not None and is_clear:
         name, above_m = _aim_above(job)
         if refused.end_clearance_m < refused.margin_m + above_m:
             return f"settings.{name}=0", "accepts every clearance of at least the margin"
@@ -177,8 +170,8 @@ def _change(refused: RefusedSegment | None, job: PlanConfig, is_found: bool) -> 
         return f"settings.path_tolerance_m={wider_mm / 1e3:g}", f"allows the tool {wider_mm:g} mm between targets"
     if not by_beam:
         return "method=beam", "keeps several configurations at each target"
-    if not is_found:
-        return None
+    if settings.effort and end.status == Status.RECOVERY_EXHAUSTED and not is_clear:
+        return None  # it is not known whether any configuration is clear there
     if settings.effort < MOST_EFFORT:
         more = min(MOST_EFFORT, MORE_EFFORT * settings.effort) or Settings().effort
         return f"settings.effort={more:g}", "searches longer after the dead end"
