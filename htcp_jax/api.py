@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from htcp_jax import jobs, runs, sequencing, trajectory
 from htcp_jax.clearance import Obstacles
-from htcp_jax.clearance.obstacles import SelfCollision
+from htcp_jax.clearance.obstacles import THE_WORKPIECE, SelfCollision
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_config, source_of, with_kinds
@@ -207,9 +207,9 @@ class Plan:
         if self.job.errors is None:
             return {}
         scale, facts = self.error_scale, {"errors": scale_text(self.job.errors, self.error_scale)}
-        if scale is None or scale.scale >= 1:
+        if scale is None or scale.scale >= 1 or not scale.cover_m:
             return facts
-        return facts | failure_texts.denser_mesh(scale.cover_m, scale.lack_m(self.motion_summary.clearance_m))
+        return facts | failure_texts.denser_mesh(self.workpiece, scale.lack_m(self.motion_summary.clearance_m))
 
     def _joint_step(self) -> dict[str, str]:
         """Return a line with the largest travel of a joint between consecutive targets; {} if the motion has none."""
@@ -269,7 +269,7 @@ class Plan:
         }
         if cover_m := self.workpiece.covering_radius_m:
             measured = f"at least {s.clearance_min_mm + 1e3 * cover_m:.3g} mm to points on the part"
-            cost = failure_texts.subtracted(cover_m, 1e-3 * s.clearance_min_mm)
+            cost = failure_texts.subtracted(self.workpiece, 1e-3 * s.clearance_min_mm)
             facts["clearance measured"] = f"{measured}; {cost}"
         facts["TCP distance"] = f"{s.tcp_distance_mean_mm:.3g} mm mean, {s.tcp_distance_max_mm:.3g} mm maximum"
         mean, largest = s.orientation_error_mean_deg, s.orientation_error_max_deg
@@ -428,11 +428,10 @@ class Plan:
             facts |= failure_texts.aim(refused, self.job)
         start_m = None if self.start_cause is None or not self.start_cause.depth_m < 0 else -self.start_cause.depth_m
         lack_m = np.inf
-        if nearest is not None and "workpiece" in nearest.other:
+        if nearest is not None and nearest.other == THE_WORKPIECE:
             lack_m = nearest.depth_m + (self.job.margin_m if refused is None else refused.margin_m)
-        cover_m = self.workpiece.covering_radius_m
-        if spacing := denser_spacing(cover_m, lack_m):
-            facts |= failure_texts.coarse_mesh(cover_m, lack_m)
+        if spacing := denser_spacing(self.workpiece, lack_m):
+            facts |= failure_texts.coarse_mesh(self.workpiece.covering_radius_m, lack_m)
         facts |= failure_texts.next_step(end, refused, self.dead_ends, self.job, self.arguments, spacing, start_m)
         if end.executable < end.tracked:
             facts[f"no segment to target {end.executable}"] = end.segment_status.message

@@ -40,6 +40,19 @@ def test_a_request_that_fails_or_is_cancelled_is_not_counted_any_more():
         assert count.text.startswith("compiling 2 of 2 programs")
 
 
+def test_while_more_programs_will_be_requested_the_text_has_their_least_number_and_no_time():
+    count = Compilations()
+    with count.requested(3) as begin:
+        with count.growing(), count.compiling():
+            begin()
+            assert count.text == "compiling 1 of at least 3 programs"
+        begin()
+        with count.growing(), count.compiling():
+            assert count.text == "compiling 2 of at least 3 programs"
+        with count.compiling():
+            assert count.text.startswith("compiling 3 of 4 programs, about ")
+
+
 def test_a_progress_line_says_what_is_compiled_and_ends_with_the_elapsed_time(capsys, monkeypatch):
     count = Compilations()
     monkeypatch.setattr(output, "COMPILATIONS", count)

@@ -107,7 +107,7 @@ def test_a_home_from_which_there_is_no_way_is_a_scenario_with_that_reason():
 def test_a_home_in_collision_is_named_with_its_body_and_depth():
     one = replace(at_home(0, start=made_once.START), x_home=np.array(TOUCHES))
     with pytest.raises(
-        htcp_jax.InputError, match=r"home is in collision: \w+ \(\w+\) is \d+\.\d{3} mm inside the workpiece"
+        htcp_jax.InputError, match=r"home is in collision: \w+ \(\w+\) is \d+\.\d{3} mm inside the keep-out zone"
     ):
         check_start(made_once.robot(), made_once.duct(), one)
 

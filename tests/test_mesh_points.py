@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from htcp_jax.errors import InputError
-from htcp_jax.model import mesh_points, surface
+from htcp_jax.model import Workpiece, mesh_points, surface
 from htcp_jax.model.mesh_points import FEW, MANY, NearbyBody, cover_mesh, denser_spacing
 from htcp_jax.model.surface import area, longest_edge_first, pieces
 
@@ -141,9 +141,29 @@ def test_pieces_are_the_mesh_and_none_is_long(shape):
 def test_a_suggested_spacing_has_one_digit_and_a_covering_radius_that_leaves_what_is_lacking():
     draw = np.random.default_rng(3)
     for radius, share in draw.uniform((1e-4, 0), (0.01, 1.1), (200, 2)):
-        spacing = denser_spacing(radius, share * radius)
+        spacing = denser_spacing(part(np.eye(4, 3), radius), share * radius)
         if spacing is None:
             assert 1.8 * radius * (1 - share) < 2e-4
         else:
             assert spacing / 2 < radius * (1 - share) and float(f"{spacing:.0e}") == pytest.approx(spacing)
-    assert denser_spacing(0.00464, 0.00277) == 0.003 and denser_spacing(0.0, -1.0) is None
+    assert denser_spacing(part(np.eye(4, 3), 0.00464), 0.00277) == 0.003
+    assert denser_spacing(part(np.eye(4, 3), 0.0), -1.0) is None
+
+
+def test_a_suggested_spacing_is_not_refused_for_too_many_points(monkeypatch):
+    """Regression: 0.001 m was suggested where a mesh may not have that many points."""
+    monkeypatch.setattr(surface, "MOST_POINTS", 30_000)
+    draw, found = np.random.default_rng(5), set()
+    for triangles in (MESHES["box"].triangles, MESHES["sphere"].triangles, draw.uniform(-0.2, 0.2, (30, 3, 3))):
+        sparse = cover_mesh(np.asarray(triangles), "mesh", 0.03)
+        for lack in np.linspace(0, 0.9, 10) * sparse.radius_m:
+            denser = denser_spacing(part(sparse.points, sparse.radius_m), lack)
+            found.add(denser is None)
+            if denser:
+                cover_mesh(np.asarray(triangles), "mesh", denser)
+    assert found == {True, False}
+
+
+def part(points: np.ndarray, radius_m: float) -> Workpiece:
+    """Part with points on a mesh."""
+    return Workpiece("part", points, np.zeros((1, 3)), interior="none", covering_radius_m=radius_m)

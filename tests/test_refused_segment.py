@@ -7,12 +7,12 @@ import pytest
 import toy
 
 from htcp_jax.jobs import load_config
-from htcp_jax.motion import Plans, Problem
+from htcp_jax.motion import Plans, Problem, Tried
 from htcp_jax.motion.plans import Outcome
 from htcp_jax.planning.refused_segment import RefusedSegment, refused_segment
 from htcp_jax.reachability.obstruction import obstruction
 from htcp_jax.runs import failure_texts
-from htcp_jax.status import SegmentStatus, Status
+from htcp_jax.status import Exclusion, SegmentStatus, Status
 
 PROOFS = replace(toy.SETTINGS, effort=0.0, smooth=False)
 
@@ -111,6 +111,18 @@ def test_the_next_command_follows_from_the_reason():
     assert not failure_texts.next_step(_end(Status.TIP_BLOCKED), seen, {}, job, "job.yaml")
 
 
+def test_a_longer_search_is_not_advised_for_a_target_without_a_known_clear_configuration():
+    job, lost, found = load_config(None), _end(Status.RECOVERY_EXHAUSTED), _end(Status.PATH_BLOCKED)
+    proof = Tried(excluded=Exclusion.ARM)
+    at_failed, at_path_behind_it = {3: proof}, {5: proof}
+    for end, tried in ((lost, {}), (lost, {3: Tried()}), (lost, at_failed), (found, at_path_behind_it)):
+        line = failure_texts.next_step(end, None, tried, job, "job.yaml")["next"]
+        assert line.startswith("htcp reachability job.yaml --each ") and "htcp place" in line
+    assert "settings.effort=8" in failure_texts.next_step(found, None, {2: proof}, job, "job.yaml")["next"]
+    without_search = load_config(None, ["settings.effort=0"])
+    assert "settings.effort=2" in failure_texts.next_step(lost, None, {}, without_search, "job.yaml")["next"]
+
+
 def test_a_start_that_lacks_less_than_half_of_the_margin_is_tried_with_other_random_configurations():
     end, job = Outcome(0, 4, 0, 0, 0, Status.NO_START, 0, SegmentStatus.VALID), load_config(None, ["margin_m=0.0008"])
     found = failure_texts.next_step(end, None, {}, job, "job.yaml --set settings.seed=0", start_m=0.00059)["next"]
@@ -128,10 +140,9 @@ def test_a_suggested_command_replaces_an_earlier_value_of_the_same_key():
 
 def test_if_the_points_on_the_mesh_cost_more_than_remains_a_denser_spacing_is_named():
     costs = "1.5 mm are subtracted for the gaps between them"
-    assert failure_texts.subtracted(0.0015, 0.0016) == costs
-    assert (
-        failure_texts.subtracted(0.0015, 0.0007) == f"{costs}, at most 0.5 mm with --set workpiece.mesh_spacing_m=0.001"
-    )
-    assert (
-        failure_texts.subtracted(0.0001, 0.0) == "0.1 mm are subtracted for the gaps between them"
-    )  # as dense as allowed
+    coarse, fine = (replace(toy.workpiece(), covering_radius_m=radius_m) for radius_m in (0.0015, 0.0001))
+    assert failure_texts.subtracted(coarse, 0.0016) == costs
+    denser = f"{costs}, at most 0.5 mm with --set workpiece.mesh_spacing_m=0.001"
+    assert failure_texts.subtracted(coarse, 0.0007) == denser
+    as_dense_as_allowed = "0.1 mm are subtracted for the gaps between them"
+    assert failure_texts.subtracted(fine, 0.0) == as_dense_as_allowed

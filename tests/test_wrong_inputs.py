@@ -196,7 +196,9 @@ RANGES = [
     setting("home_rad=[]", "home has 0 joint positions, the robot gp50 has 6 joints"),
     setting("home_rad=[0, 0]", "home has 2 joint positions, the robot gp50 has 6 joints"),
     setting("home_rad=[9, -2.3, 0.5, 0, 0.5, -2]", "home: joint1 at 9 is outside its limits"),
-    setting("home_rad=[0, -1.2, -0.5, 0, 0.5, -2]", "is 298.136 mm inside the workpiece, by the interior rule: "),
+    setting(
+        "home_rad=[0, -1.2, -0.5, 0, 0.5, -2]", "is 298.136 mm inside the keep-out zone around the workpiece's hull"
+    ),
     setting("home_rad=auto", "home_rad is 'auto'"),
     setting("settings.transfers=perhaps", "settings.transfers is 'perhaps'"),
     setting("settings.path_tolerance_m=0", "settings.path_tolerance_m is 0: at least 1e-15 is needed"),

@@ -205,10 +205,10 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
 def _denser_mesh(found: FileProof) -> dict[str, str]:
     """Return lines about denser points on the part's mesh, if these limit the scale of the errors below 1."""
     scale, proof = found.error_scale, found.proof
-    if proof is None or scale is None or scale.segment is None or scale.scale >= 1:
+    if proof is None or scale is None or scale.segment is None or scale.scale >= 1 or not scale.cover_m:
         return {}
     spare_m = float(proof.clearance_m[scale.segment]) - found.margin_m
-    return failure_texts.denser_mesh(scale.cover_m, scale.lack_m(spare_m))
+    return failure_texts.denser_mesh(found.scene.problem.workpiece, scale.lack_m(spare_m))
 
 
 def _motion_text(found: FileProof) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from htcp_jax.cli.output import print_facts, print_json, progress_bar
 from htcp_jax.errors import InputError
 from htcp_jax.jobs import load_sweep_or_job
+from htcp_jax.model import Workpiece
 from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.reachability import ToolClearance, tool_clearances
 from htcp_jax.report import reach_study
@@ -33,7 +34,7 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
     spec = load_sweep_or_job(file, None, overrides)
     if not spec.alone:
         raise InputError(f"{file} is a sweep; htcp tool checks one job")
-    found, covers = [], []
+    found, parts = [], []
     with progress_bar("seams", first="building the part") as progress:
         batch = spec.batch(None)
         names = reach_study.seam_names(batch) or [spec.name]
@@ -51,16 +52,16 @@ def check_job(file: Path, overrides: Sequence[str], as_json: bool) -> int:
 
             own = cell.robot, cell.workpiece, scenario, cell.settings, cell.task
             found.append(tool_clearances(*own, longer_m, show))
-            covers.append(cell.workpiece.covering_radius_m)
+            parts.append(cell.workpiece)
     if as_json:
         print_json({"job": spec.name, "seams": [_record(*each) for each in zip(names, found, strict=True)]})
     else:
-        for name, each, cover_m in zip(names, found, covers, strict=True):
-            print_facts(name, _facts(each, cover_m))
+        for name, each, part in zip(names, found, parts, strict=True):
+            print_facts(name, _facts(each, part))
     return CLEAR if all(each.clear[0].all() for each in found) else NOT_CLEAR
 
 
-def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
+def _facts(found: ToolClearance, workpiece: Workpiece) -> dict[str, str]:
     clear = found.clear[0]
     facts = {"tool": f"clears the part at {clear.sum()} of {len(clear)} targets"}
     if not clear.all():
@@ -73,14 +74,14 @@ def _facts(found: ToolClearance, covering_radius_m: float) -> dict[str, str]:
         body = found.names[found.body[0, k]]
         least = f"{1e3 * found.clearance_m[0, k]:.2f} mm at target {found.target[k]}, by {body}; {required}"
         facts["minimum clearance"] = least
-        if covering_radius_m and clear.all():
-            cost = failure_texts.subtracted(covering_radius_m, float(found.clearance_m[0, k]))
+        if workpiece.covering_radius_m and clear.all():
+            cost = failure_texts.subtracted(workpiece, float(found.clearance_m[0, k]))
             facts["points on the mesh"] = cost
     else:
         facts["minimum clearance"] = f"none at target {found.target[k]}: no orientation was found that the task allows"
     lack_m = float(found.margin_m[k] - found.clearance_m[0, k])
     if not clear.all():
-        facts |= failure_texts.denser_mesh(covering_radius_m, lack_m)
+        facts |= failure_texts.denser_mesh(workpiece, lack_m)
     facts["longer wire"] = _longer_text(found)
     if found.ignored:
         rows = ", ".join(f"task.{number}" for number in found.ignored)

@@ -17,6 +17,7 @@ class Compilations:
     def __init__(self):
         self._lock = threading.Lock()
         self._requested, self._begun, self._seconds = 0, dict[object, float](), list[float]()
+        self._is_growing = False
 
     @contextmanager
     def requested(self, count: int) -> Iterator[Callable[[], None]]:
@@ -49,6 +50,15 @@ class Compilations:
                 del self._begun[number]
                 self._seconds.append(time.monotonic() - began)
 
+    @contextmanager
+    def growing(self) -> Iterator[None]:
+        """While the context is open, more programs will be requested, so that `text` has no time."""
+        self._is_growing = True
+        try:
+            yield
+        finally:
+            self._is_growing = False
+
     @property
     def done(self) -> int:
         """Number of programs compiled so far."""
@@ -66,9 +76,12 @@ class Compilations:
             begun, done, requested = list(self._begun.values()), list(self._seconds), self._requested
         if not begun:
             return ""
+        least = "at least " if self._is_growing else ""
+        text = f"compiling {len(done) + 1} of {least}{len(done) + len(begun) + requested} programs"
+        if self._is_growing:
+            return text
         each, now = (USUAL_S + sum(done)) / (1 + len(done)), time.monotonic()
         left = requested * each + sum(max(each - (now - began), (now - began) / 2) for began in begun)
-        text = f"compiling {len(done) + 1} of {len(done) + len(begun) + requested} programs"
         return f"{text}, about {max(1, round(left / len(begun)))} s"
 
 

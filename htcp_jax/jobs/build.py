@@ -227,7 +227,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
             stacklevel=2,
         )
     if cover_m >= body.radius_m:
-        spacing = denser_spacing(body.radius_m / 2, 0.0)
+        spacing = denser_spacing(workpiece, cover_m - body.radius_m / 2)
         warnings.warn(
             f"{part.cloud}: every clearance is reduced by {1e3 * cover_m:.3g} mm, the covering radius of the mesh's "
             f"points; {body.label} has a radius of only {1e3 * body.radius_m:.3g} mm"

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from htcp_jax.caching import cached_by_values
 from htcp_jax.errors import InputError
-from htcp_jax.model import kinematics
+from htcp_jax.model import kinematics, surface
 from htcp_jax.model.robot import Robot, capsule_label
 from htcp_jax.model.surface import (
     Corners,
@@ -33,12 +33,14 @@ from htcp_jax.model.surface import (
     longest_edge_first,
     square_norm,
 )
+from htcp_jax.model.workpiece import Workpiece
 
 FEW, MANY = 20_000, 300_000  # default number of points: about FEW for thick bodies, at most about MANY for thin ones
 THINNED, EXCESS = 80_000, 3  # a cover for which THINNED points suffice is thinned out if it has EXCESS times as many
 SHARE = 4  # ratio of a body's radius to the default covering radius
 FINEST_M = 0.002  # minimum of the default covering radius
 DENSEST_M = 0.0002  # minimum of the spacing that is suggested
+LEVELS = 2  # a spacing may give so many times the expected points, as each cut halves a triangle
 ROUNDING = 1e-6  # relative rounding error of a covering radius; nearly flat triangles cost digits
 
 
@@ -56,21 +58,25 @@ class NearbyBody(NamedTuple):
     radius_m: float
 
 
-def denser_spacing(radius_m: float, lack_m: float) -> float | None:
+def denser_spacing(workpiece: Workpiece, lack_m: float) -> float | None:
     """Return a spacing of points at which the subtracted covering radius may explain a lack of clearance [m].
 
-    The new covering radius is at most 0.9 (`radius_m` - `lack_m`), with a spacing of one significant digit. None if the
-    lack is larger than the present radius, or no spacing of at least `DENSEST_M` suffices.
+    The new covering radius is at most 0.9 (r - `lack_m`) for a present one of r, with a spacing of one significant
+    digit. None if the lack is larger than r, no spacing of at least `DENSEST_M` suffices, or the mesh might get more
+    than `surface.MOST_POINTS` points, as estimated from the present number. Narrow triangles may need more.
 
     Args:
-        radius_m: The present covering radius [m].
+        workpiece: The part, whose points may cover a mesh.
         lack_m: The required clearance minus the measured one [m].
     """
+    radius_m = workpiece.covering_radius_m
     spacing = 1.8 * (radius_m - max(lack_m, 0.0))
     if spacing < DENSEST_M:
         return None
     digit = 10.0 ** np.floor(np.log10(spacing))
-    return float(np.round(np.floor(spacing / digit + 1e-9) * digit, 6))
+    spacing = float(np.round(np.floor(spacing / digit + 1e-9) * digit, 6))
+    expected = len(workpiece.cloud) * (2 * radius_m / spacing) ** 2
+    return spacing if LEVELS * expected <= surface.MOST_POINTS else None
 
 
 def thinnest_nearby(robot: Robot, distance_m: float | None = None, excluded: Collection[int] = ()) -> NearbyBody | None:

@@ -19,9 +19,9 @@ from htcp_jax.model import scenario as scenario_functions
 from htcp_jax.motion.measured_rows import MeasuredRows
 from htcp_jax.status import Status
 
-INTERIOR_RULE = (  # after the name of the part, where not its points but the rule decides
-    ", by the interior rule: deeper than workpiece.interior_depth_m behind the inlet a body must be in the part's "
-    "hull; move it, or set workpiece.interior: none"
+INTERIOR_RULE = (  # after the name of the keep-out zone
+    ", which begins at the depth workpiece.interior_depth_m in the part; move one of them, or set "
+    "workpiece.interior: none if the part is open there"
 )
 
 

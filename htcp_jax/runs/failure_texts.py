@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from htcp_jax.errors import mm_text
-from htcp_jax.model import denser_spacing, surface
+from htcp_jax.model import Workpiece, denser_spacing, surface
 from htcp_jax.motion import Tried, plans
 from htcp_jax.planning import RefusedSegment
 from htcp_jax.settings import Settings
@@ -81,23 +81,24 @@ def coarse_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
     }
 
 
-def denser_mesh(covering_radius_m: float, lack_m: float) -> dict[str, str]:
+def denser_mesh(workpiece: Workpiece, lack_m: float) -> dict[str, str]:
     """Return `coarse_mesh` and a line with the spacing to try; {} if no spacing suffices, see `denser_spacing`."""
-    if (spacing := denser_spacing(covering_radius_m, lack_m)) is None:
+    if (spacing := denser_spacing(workpiece, lack_m)) is None:
         return {}
     first = {"try first": f"--set {surface.KEY}={spacing:g}, which covers the part's mesh more densely"}
-    return coarse_mesh(covering_radius_m, lack_m) | first
+    return coarse_mesh(workpiece.covering_radius_m, lack_m) | first
 
 
-def subtracted(covering_radius_m: float, clearance_m: float) -> str:
+def subtracted(workpiece: Workpiece, clearance_m: float) -> str:
     """Return how much the points on the part's mesh cost and, if this is more than what remains, a denser spacing.
 
     Args:
-        covering_radius_m: The covering radius of the points, which is subtracted from every clearance.
+        workpiece: The part. The covering radius of its points is subtracted from every clearance.
         clearance_m: The minimum clearance, after it is subtracted.
     """
-    text = f"{mm_text(covering_radius_m)} are subtracted for the gaps between them"
-    if covering_radius_m <= clearance_m or (spacing := denser_spacing(covering_radius_m / 2, 0.0)) is None:
+    cover_m = workpiece.covering_radius_m
+    text = f"{mm_text(cover_m)} are subtracted for the gaps between them"
+    if cover_m <= clearance_m or (spacing := denser_spacing(workpiece, cover_m / 2)) is None:
         return text
     return f"{text}, at most {mm_text(spacing / 2)} with --set {surface.KEY}={spacing:g}"
 
@@ -141,11 +142,9 @@ def next_step(
         return {"next": f"{each}   searches longer, or proves that nothing reaches a target; htcp place moves the part"}
     if end.status not in MEASURED:
         return {}
-    if end.failed in dead_ends and dead_ends[end.failed].excluded:
-        return {"next": f"{each}   tests every target"}
-    change = _change(end, refused, job)
-    if change is None:
-        return {"next": f"{each}   tests every target, and names what prevents it"}
+    is_excluded = any(own.excluded for target, own in dead_ends.items() if target >= (end.failed or 0))
+    if is_excluded or (change := _change(end, refused, job)) is None:
+        return {"next": f"{each}   tests every target, and names what prevents it; htcp place moves the part"}
     return {"next": _planned(given, *change)}
 
 
@@ -161,7 +160,8 @@ def _planned(given: str, change: str, why: str) -> str:
 def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig) -> tuple[str, str] | None:
     """Return the change of one key that is the most likely to help, and what it does; None if none is."""
     settings, by_beam = job.settings, job.method == "beam"
-    if refused is not None and refused.verdict == SegmentStatus.VALID:
+    is_clear = refused is not None and refused.verdict == SegmentStatus.VALID
+    if refused is not None and is_clear:
         name, above_m = _aim_above(job)
         if refused.end_clearance_m < refused.margin_m + above_m:
             return f"settings.{name}=0", "accepts every clearance of at least the margin"
@@ -170,6 +170,8 @@ def _change(end: plans.Outcome, refused: RefusedSegment | None, job: PlanConfig)
         return f"settings.path_tolerance_m={wider_mm / 1e3:g}", f"allows the tool {wider_mm:g} mm between targets"
     if not by_beam:
         return "method=beam", "keeps several configurations at each target"
+    if settings.effort and end.status == Status.RECOVERY_EXHAUSTED and not is_clear:
+        return None  # it is not known whether any configuration is clear there
     if settings.effort < MOST_EFFORT:
         more = min(MOST_EFFORT, MORE_EFFORT * settings.effort) or Settings().effort
         return f"settings.effort={more:g}", "searches longer after the dead end"

@@ -2,7 +2,7 @@ from . import self_exclusions
 from .contact_model import ContactModel, hold_contacts, predict_distances
 from .given_obstacle import given_obstacles, with_given
 from .linearisation import Linearisation, TaskRows, linearise
-from .obstacle import Contacts, grouped
+from .obstacle import THE_WORKPIECE, Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
 from .of_workpiece import all_obstacles, with_interior
@@ -10,6 +10,7 @@ from .self_collision import RefusedPair, SelfCollision, make_self_collision, ref
 from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
 __all__ = [
+    "THE_WORKPIECE",
     "ContactModel",
     "Contacts",
     "Linearisation",

@@ -21,6 +21,7 @@ from htcp_jax.numerics import joined, product
 from htcp_jax.pytree import without_labels
 from htcp_jax.types import Anywhere, Bool, Float, Int, Joints, Pose, Scalar
 
+THE_WORKPIECE = "the workpiece"  # in messages
 DECIDED_M = 1e-12  # [m]; a distance in 64-bit floats is wrong by less than this within 100 m of the origin
 
 
@@ -230,7 +231,7 @@ class Obstacle:
 
     def part_name(self, robot: Robot, part: int) -> str:
         """Return the name of a part for messages."""
-        return "the workpiece" if self.of_workpiece else f"the obstacle {type(self).__name__!r}"
+        return THE_WORKPIECE if self.of_workpiece else f"the obstacle {type(self).__name__!r}"
 
 
 Obstacles = tuple[Obstacle, ...]

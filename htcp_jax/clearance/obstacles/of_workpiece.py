@@ -32,6 +32,7 @@ from htcp_jax.numerics import product
 from htcp_jax.pytree import register_pytree
 from htcp_jax.types import Bool, Float, Scalar
 
+KEEP_OUT = "the keep-out zone around the workpiece's hull"  # in messages
 NEAR_M = 0.05  # distance in front of the plane within which the depth in the hull is computed
 
 
@@ -90,6 +91,10 @@ class Interior(Obstacle):
     hull: HalfSpaces
 
     of_workpiece = True
+
+    def part_name(self, robot: Robot, part: int) -> str:
+        """Return the name of the space outside the hull, into which a body's clearance is the negative depth."""
+        return KEEP_OUT
 
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with the facet that its outermost deep end has crossed, if any."""
