@@ -61,7 +61,7 @@ ROWS = 44  # configurations per call, in all tests
 
 def at_each(function, robot, obstacle, where, x):
     """`function` of (robot, obstacle, where, x) at every x."""
-    return made_once.in_rows(function, ROWS, made_once.quick_jit)((robot, obstacle, where), x)
+    return made_once.in_rows(function, ROWS)((robot, obstacle, where), x)
 
 
 class Forms(NamedTuple):
