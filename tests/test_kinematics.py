@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -82,7 +81,7 @@ class Found(NamedTuple):
     body_jacobians: np.ndarray  # (S, K, 3, N), of the points p
 
 
-@made_once.quick_jit
+@jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def found_by(robot: Robot, x: jax.Array) -> Found:
     p, q = kinematics.capsule_segments(robot, x)
@@ -224,7 +223,7 @@ def test_mjx_agrees(arm):
 
     with jax.numpy_rank_promotion("allow"):
         model, start = mjx.put_model(arm.model), mjx.make_data(arm.model)
-        tcp, rotation, middle = made_once.quick_jit(jax.vmap(mjx_says))(jnp.asarray(arm.xs))
+        tcp, rotation, middle = jax.jit(jax.vmap(mjx_says))(jnp.asarray(arm.xs))
     assert_close(arm.found.T_world_tcp[:, :3, 3], tcp)
     assert_close(arm.found.T_world_tcp[:, :3, :3], np.asarray(rotation).reshape(-1, 3, 3))
     p, q = arm.found.p, arm.found.q
@@ -244,7 +243,7 @@ def test_jacobians_are_mujocos_and_the_derivative(arm):
         T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])[index]
         return jnp.einsum("pij,pj->pi", T[:, :3, :3], local) + T[:, :3, 3]
 
-    @made_once.quick_jit
+    @jax.jit
     @partial(jax.vmap, in_axes=(None, 0))
     def derivatives(robot: Robot, x: jax.Array):
         of_tcp = [derivative(kinematics.tcp_position, argnums=1)(robot, x) for derivative in (jax.jacfwd, jax.jacrev)]

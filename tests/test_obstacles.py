@@ -57,7 +57,7 @@ def _together(queries):
 def answers(queries, x, own=None) -> list:
     """Answers to queries at every x."""
     given = made_once.robot(), obstacles() if own is None else own, made_once.nominal()
-    return made_once.in_rows(_together(queries), ROWS, made_once.quick_jit)(given, x)
+    return made_once.in_rows(_together(queries), ROWS)(given, x)
 
 
 @cache
