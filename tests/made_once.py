@@ -131,9 +131,9 @@ def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -
 
 
 @cache
-def in_rows(function: Callable, count: int) -> Callable:
+def in_rows(function: Callable, count: int, jit: Callable = jax.jit) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
-    compiled = jax.jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
+    compiled = jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
 
     def padded(leaf, first: int) -> np.ndarray:
         leaf = np.asarray(leaf)

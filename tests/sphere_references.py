@@ -11,6 +11,8 @@ import made_once
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
+from htcp_jax.clearance import Scene, contacts
+from htcp_jax.clearance.obstacles import Contacts
 from htcp_jax.clearance.obstacles.linearisation import linearise
 from htcp_jax.planning.tracking.null_space import sphere_problem
 from htcp_jax.settings import Settings
@@ -42,6 +44,7 @@ class Problem(NamedTuple):
     G: np.ndarray
     h: np.ndarray
     start: np.ndarray
+    touch: Contacts  # contacts at x
 
     def merit(self, w: np.ndarray) -> float:
         """Objective at the unit vector along w; -inf outside the joint limits."""
@@ -62,24 +65,30 @@ def _compiled(settings: Settings):
         return linear.clearance.distance - j1, linear.clearance.gradient @ reach - j1_gradient[None, :]
 
     def begin(scene, where, x_ref):
-        problem, seen, reach = sphere_problem(scene, settings, where, x_ref)
-        return problem.G, problem.h, sphere.first_direction(problem, seen), reach
+        touch = contacts(*scene[:2], where, x_ref)
+        problem, seen, reach = sphere_problem(scene, settings, where, x_ref, touch=touch)
+        return problem.G, problem.h, sphere.first_direction(problem, seen), reach, touch
 
-    return jax.jit(exact), jax.jit(begin)
+    return jax.jit(exact), made_once.quick_jit(begin)
 
 
-def problem(k: int, settings: Settings, scene=None) -> Problem:
+@cache
+def problem(k: int, settings: Settings) -> Problem:
     """Recorded subproblem k."""
-    scene = scene or made_once.scene()
+    return problem_in(made_once.scene(), k, settings)
+
+
+def problem_in(scene: Scene, k: int, settings: Settings) -> Problem:
+    """Recorded subproblem k in another scene."""
     where, x_ref = place(k)
     exact, begin = _compiled(settings)
-    G, h, start, reach = begin(scene, where, x_ref)
+    G, h, start, reach, touch = begin(scene, where, x_ref)
 
     def f(w):
         return tuple(map(np.asarray, exact(*scene[:2], where, x_ref, reach, jnp.asarray(w))))
 
     near = np.asarray(h) < 10.0  # scipy needs no rows for limits that are out of reach
-    return Problem(f, np.asarray(G)[near], np.asarray(h)[near], np.asarray(start))
+    return Problem(f, np.asarray(G)[near], np.asarray(h)[near], np.asarray(start), touch)
 
 
 class _Remembered:

@@ -261,7 +261,8 @@ def answered() -> list:
 
 def answer(query, x):
     """Answer to a query next to everything, at every x."""
-    return made_once.in_rows(query, ROWS)((made_once.robot(), (everything(),), made_once.nominal()), x)
+    jit = jax.jit if query in (clearances, is_clear) else made_once.quick_jit  # others: only a few configurations
+    return made_once.in_rows(query, ROWS, jit)((made_once.robot(), (everything(),), made_once.nominal()), x)
 
 
 def test_of_many_solids_the_nearest_decides_whatever_is_searched_first():

@@ -5,6 +5,7 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -98,7 +99,7 @@ def computed(robot):
         linear = task.linear_at(robot, x, goals[0])
         return linear.jacobian if task.rows else linear.gradient
 
-    @jax.jit
+    @made_once.quick_jit
     @jax.vmap
     def at(x):
         values, own = (lambda x, of=of: {name: of(name, x) for name in ROWS} for of in (value_of, jacobian_of))
@@ -140,7 +141,7 @@ def proven(robot):
         found = row_slacks(robot, task.parts, between(task, goals), x, rates, jnp.asarray(0.5))
         return found.left >= 0, found.broken
 
-    held, broken = map(np.asarray, jax.jit(jax.vmap(on))(given, middle, b - a))
+    held, broken = map(np.asarray, made_once.quick_jit(jax.vmap(on))(given, middle, b - a))
     left = slack_of_rows(task, robot, np.stack([a, b], axis=1).reshape(-1, a.shape[1]), given.repeat(2, axis=0)[:-1],
                          np.arange(2 * len(a) - 1) % 2 == 0)  # fmt: skip
     there, draws = arm_at(robot, a, left.features), np.random.default_rng(6).normal(size=a.shape)

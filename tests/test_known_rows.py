@@ -72,12 +72,13 @@ def test_a_proof_by_known_rows_is_the_plain_one():
     Margins alternate, as pieces are measured for capsules that are nearer than a distance that depends on the margin.
     """
     executor, rng = Executor(scene(), Settings()), np.random.default_rng(1)
+    prove = replace(PROVE, compiles_quickly=True)
     count = len(paths()[1])
     how = {"kept": rng.choice([0.0, 0.5, 0.99], count), "resolution_m": rng.choice([-ROUNDING_M, 1e-5], count)}
     inputs = paths()[0]._replace(margin_m=np.resize([0.2, 0.0, 0.02], count))
     _, *tables = prove_call(executor.task, inputs, *paths()[1:], **how, deepest=12)
-    plain_prove = replace(PROVE, function=without_memory, remembers=False)
-    found, plain = (executor(one, *tables) for one in (PROVE, plain_prove))
+    plain_prove = replace(prove, function=without_memory, remembers=False)
+    found, plain = (executor(one, *tables) for one in (prove, plain_prove))
     for name in ("verdict", "place", "queries", "depth"):
         np.testing.assert_array_equal(getattr(found, name), getattr(plain, name), name)
     assert (found.clearance >= plain.clearance - 1e-14).all()
@@ -91,7 +92,7 @@ def test_the_free_radius_at_another_configuration_is_within_its_bounds():
 
     own, where = scene(), jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), paths()[0])
 
-    @jax.jit
+    @made_once.quick_jit
     def measured(x):
         bodies = bodies_at(own.robot, where, x)
         queries = decide_together(*own[:2], where, bodies)
@@ -99,7 +100,7 @@ def test_the_free_radius_at_another_configuration_is_within_its_bounds():
         ends = known_rows._relative_ends(own.robot, known_rows._rows(*own[:2]), x, bodies)
         return known_rows.KnownRows(free, ends)
 
-    bounds = jax.jit(lambda known, ends: known_rows._bounds(own.robot, where, known, ends))
+    bounds = made_once.quick_jit(lambda known, ends: known_rows._bounds(own.robot, where, known, ends))
     here, there = ([measured(x) for x in column] for column in paths()[1:])
     free = np.stack([other.free_radius for other in there])
     found = [bounds(known, other.ends) for known, other in zip(here, there, strict=True)]
@@ -116,7 +117,7 @@ def test_rows_that_decide_nothing_are_not_measured():
     x, near, far = jnp.asarray(toy.START), *(cloud_of(np.array([[0.4, 0.0, z]]), 0.0) for z in (0.5, 3.0))
     bodies = bodies_at(robot, where, x)
 
-    @jax.jit
+    @made_once.quick_jit
     def query(cloud, travel, is_recorded, known):
         rows, known = known_rows.free_radii(robot, (cloud,), where, x, bodies, [travel], 0.0, is_recorded, known)
         return rows[0], known

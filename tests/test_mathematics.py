@@ -28,6 +28,10 @@ capsule_point_distance = htcp_jax.capsule_point_distance
 # The distance of a capsule and a point
 
 
+distances = made_once.quick_jit(capsule_point_distance)
+gradients = jax.grad(capsule_point_distance, argnums=(0, 1, 2, 3))
+
+
 def capsules(count: int):
     """Random capsules, some with an axis of length 0, and points, some of them inside."""
     rng = np.random.default_rng(0)
@@ -38,7 +42,7 @@ def capsules(count: int):
 
 def test_a_capsule_s_distance_is_the_smallest_over_spheres_along_its_axis_and_negative_inside():
     p, q, radius, point = capsules(200)
-    found = np.asarray(capsule_point_distance(jnp.asarray(p), jnp.asarray(q), jnp.asarray(radius), jnp.asarray(point)))
+    found = np.asarray(distances(p, q, radius, point))
     s = np.linspace(0, 1, 20_001)
     for k in range(200):
         dense = np.linalg.norm(p[k] + s[:, None] * (q[k] - p[k]) - point[k], axis=1).min() - radius[k]
@@ -47,23 +51,22 @@ def test_a_capsule_s_distance_is_the_smallest_over_spheres_along_its_axis_and_ne
 
 
 def test_its_gradient_is_that_of_differences_and_turns_with_what_it_belongs_to():
-    p, q, radius, point = map(jnp.asarray, capsules(200))
-    gradient = jax.jit(jax.vmap(jax.grad(capsule_point_distance, argnums=(0, 1, 2, 3))))
-    dp, dq, dr, dpoint = map(np.asarray, gradient(p, q, radius, point))
+    p, q, radius, point = capsules(200)
+    dp, dq, dr, dpoint = made_once.in_rows(gradients, 200)((), p, q, radius, point)
     np.testing.assert_allclose(dr, -1.0)
     np.testing.assert_allclose(np.linalg.norm(dpoint, axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(dp + dq + dpoint, 0.0, atol=1e-14)  # invariant under translation
     for axis in np.eye(3) * 1e-6:
-        moved = [capsule_point_distance(p, q, radius, point + sign * axis[None]) for sign in (1.0, -1.0)]
+        moved = [np.asarray(distances(p, q, radius, point + sign * axis[None])) for sign in (1.0, -1.0)]
         np.testing.assert_allclose(2 * dpoint @ axis, moved[0] - moved[1], atol=1e-14)
 
 
 @pytest.mark.parametrize("q", [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
 def test_on_the_axis_and_at_a_sphere_s_centre_the_gradient_is_zero_and_not_NaN(q):
-    p, q = jnp.zeros(3), jnp.array(q)
-    on_axis = 0.5 * (p + q)
-    assert capsule_point_distance(p, q, 0.2, on_axis) == -0.2
-    for gradient in jax.grad(capsule_point_distance, argnums=(0, 1, 3))(p, q, 0.2, on_axis):
+    row = [np.array([value]) for value in (np.zeros(3), q, 0.2, 0.5 * np.array(q))]
+    assert np.resize(distances(*(np.resize(leaf, (200, *leaf.shape[1:])) for leaf in row)), 1) == -0.2
+    dp, dq, _, dpoint = made_once.in_rows(gradients, 200)((), *row)
+    for gradient in (dp, dq, dpoint):
         np.testing.assert_array_equal(gradient, 0.0)
 
 
@@ -89,14 +92,15 @@ def both(settings):
         value, gradient = problem.predict_with_gradient(w, problem.observe(w)[1])
         return problem.measure(w), gradient[jnp.argmin(value)]
 
-    return jax.jit(jax.value_and_grad(objective(settings), argnums=2)), jax.jit(planners)
+    ours = jax.value_and_grad(objective(settings), argnums=2)
+    return made_once.quick_jit(ours), made_once.quick_jit(planners)
 
 
 def cases(count):
     rng = np.random.default_rng(1)
     for k in range(0, 200, 200 // count):
         w = rng.normal(size=3)
-        yield *place(k), jnp.asarray(w / np.linalg.norm(w))
+        yield *place(k), w / np.linalg.norm(w)
 
 
 @pytest.mark.parametrize("settings", [WEIGHED, FAR_UNSEEN], ids=["all links", "outer links"])
@@ -113,7 +117,7 @@ def test_its_gradient_costs_no_more_operations_than_the_closed_form_and_fewer_th
     scene, x = (*made_once.scene()[:2], made_once.nominal()), jnp.asarray(made_once.START)
 
     def operations(function):
-        return jax.jit(function).lower(x).compile().cost_analysis()["flops"]
+        return made_once.quick_jit(function).lower(x).compile().cost_analysis()["flops"]
 
     ours = operations(jax.value_and_grad(partial(htcp_jax.minimum_clearance, *scene)))
     rows = operations(partial(clearance_rows, *scene))
@@ -130,30 +134,35 @@ def closed_form(robot, obstacles, where, x):
 
 
 def test_its_gradient_is_that_of_differences():
-    J2 = jax.jit(objective(WEIGHED))
+    J2, _ = both(WEIGHED)
     h, off = 1e-6, []
     for where, x_ref, w in cases(20):
-        gradient = both(WEIGHED)[0](where, x_ref, w)[1]
-        sides = [[J2(where, x_ref, w + sign * h * axis) for sign in (1, -1)] for axis in jnp.eye(3)]
-        off.append(max(abs((float(a) - float(b)) / (2 * h) - g) for (a, b), g in zip(sides, gradient, strict=True)))
+        gradient = np.asarray(J2(where, x_ref, w)[1])
+        sides = [[float(J2(where, x_ref, w + sign * h * axis)[0]) for sign in (1, -1)] for axis in np.eye(3)]
+        off.append(np.abs(np.subtract(*np.transpose(sides)) / (2 * h) - gradient).max())
     assert np.sort(off)[-2] < 1e-8  # one of them may be at a kink of D
 
 
 def test_many_directions_at_once_are_each_as_alone():
     where, x_ref, _ = next(cases(1))
-    w = jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
+    w = np.concatenate([np.eye(3), -np.eye(3)])
     J2 = partial(objective(WEIGHED), where, x_ref)
-    together = jax.jit(jax.vmap(J2))(w)
-    np.testing.assert_allclose(together, [J2(one) for one in w], atol=1e-15)
+    together = made_once.quick_jit(jax.vmap(J2))(w)
+    np.testing.assert_allclose(together, [both(WEIGHED)[0](where, x_ref, one)[0] for one in w], atol=1e-15)
     assert len(set(together.tolist())) == 6
 
 
 def test_without_settings_it_is_minus_the_clearance_for_an_arm_of_any_number_of_joints(tmp_path):
     arm, obstacle, where = made_once.seven_joints(tmp_path), made_once.scene().obstacles, made_once.nominal()
-    x_ref, w = jnp.full(7, 0.3), jnp.array([1.0, 0.0, 0.0, 0.0])
-    x = x_ref + 0.1 * htcp_jax.null_basis(htcp_jax.jacobian(arm, x_ref)) @ w
-    J2 = htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w)
-    np.testing.assert_allclose(J2, -htcp_jax.minimum_clearance(arm, obstacle, where, x), atol=1e-14)
+    x_ref, w = jnp.asarray(np.full(7, 0.3)), jnp.asarray(np.eye(4)[0])
+
+    def J2_and_clearance(x_ref, w):
+        x = x_ref + 0.1 * htcp_jax.null_basis(htcp_jax.jacobian(arm, x_ref)) @ w
+        J2 = htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w)
+        return J2, htcp_jax.minimum_clearance(arm, obstacle, where, x)
+
+    J2, clearance = made_once.quick_jit(J2_and_clearance)(x_ref, w)
+    np.testing.assert_allclose(J2, -clearance, atol=1e-14)
     with pytest.raises(InputError, match="q_weights has 6 values, but the robot seven has 7 joints"):
         htcp_jax.null_space_objective(arm, obstacle, where, x_ref, w, Settings())
 

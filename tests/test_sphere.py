@@ -30,6 +30,9 @@ MINIMISERS = {
 }
 
 
+COUNT = {"cmaes": 40}  # of subproblems, not 200
+
+
 class Solved(NamedTuple):
     w: np.ndarray
     value: np.ndarray
@@ -37,23 +40,23 @@ class Solved(NamedTuple):
 
 @cache
 def compiled(name: str, settings: Settings):
-    """One of our minimisers on the subproblem at x: (scene, where, x) -> Best."""
+    """One of our minimisers on the subproblem at x with its contacts: (scene, where, x, touch) -> Best."""
 
-    def solve(scene, where, x):
-        problem, seen, _ = sphere_problem(scene, settings, where, x)
+    def solve(scene, where, x, touch):
+        problem, seen, _ = sphere_problem(scene, settings, where, x, touch=touch)
         return MINIMISERS[name](problem, seen)
 
-    return jax.jit(solve)
+    return (jax.jit if name in COUNT else made_once.quick_jit)(solve)  # of many samples: slow without optimisation
 
 
 @cache
 def solved(name: str, settings: Settings = SETTINGS, count: int = 200) -> Solved:
     """Solutions of the first `count` recorded subproblems by one of our minimisers."""
-    found = [compiled(name, settings)(made_once.scene(), *references.place(k)) for k in range(count)]
+    minimise, scene = compiled(name, settings), made_once.scene()
+    found = [minimise(scene, *references.place(k), references.problem(k, settings).touch) for k in range(count)]
     return Solved(*(np.array(column) for column in zip(*found, strict=True)))
 
 
-COUNT = {"cmaes": 40}
 EACH = ["sqp", "interior_point", "cmaes", pytest.param("adam", marks=pytest.mark.slow)]
 
 
@@ -106,8 +109,8 @@ def test_sqp_is_no_worse_than_slsqp_at_joint_limits():
     for k in range(0, 200, 10):
         where, x = references.place(k)
         scene = made_once.Scene(dataclasses.replace(robot, lower=x - 0.07, upper=x + 0.07), obstacle)
-        p = references.problem(k, SETTINGS, scene)
-        best = compiled("sqp", SETTINGS)(scene, where, x)
+        p = references.problem_in(scene, k, SETTINGS)
+        best = compiled("sqp", SETTINGS)(scene, where, x, p.touch)
         free_radius = (p.h - p.G @ np.asarray(best.w)).min()
         assert free_radius > -1e-9
         active += free_radius < 1e-6
@@ -162,11 +165,9 @@ def test_cmaes_keeps_up_with_the_cma_package():
 # Small problems whose answers are known
 
 
-def planes_problem(a, b, G=None, h=None):
+def planes_problem(a, b, G, h):
     """Planes f_k(w) = a_k . w + b_k as a problem on the sphere, and its observation."""
-    a, b, dimension = jnp.asarray(a), jnp.asarray(b), a.shape[1]
-    G = jnp.zeros((1, dimension)) if G is None else jnp.asarray(G)
-    h = jnp.ones(1) if h is None else jnp.asarray(h)
+    dimension = a.shape[1]
     problem = sphere.Sphere(
         observe=lambda w: (a @ w + b, (a, b)),
         measure=lambda w: jnp.min(a @ w + b),
@@ -176,6 +177,17 @@ def planes_problem(a, b, G=None, h=None):
         h=h,
     )
     return problem, (a, b)
+
+
+@cache
+def compiled_on_planes(function):
+    return made_once.quick_jit(lambda planes, *more: function(*planes_problem(*planes), *more))
+
+
+def on_planes(function, a, b, *more, G=None, h=None):
+    """Result of a function of a problem and an observation for planes; numbers of planes and dimensions compile it."""
+    planes = a, b, np.zeros((1, a.shape[1])) if G is None else G, np.ones(1) if h is None else h
+    return jax.tree.map(np.asarray, compiled_on_planes(function)(planes, *more))
 
 
 @pytest.mark.parametrize(
@@ -188,7 +200,7 @@ def test_a_single_plane_is_climbed_to_its_pole(name, dimension):
     Arms of four to seven joints have null spaces of one to four dimensions; see below for two, above for three.
     """
     a = np.linspace(1.0, 2.0, dimension)[None] * 0.05
-    best = jax.jit(lambda: MINIMISERS[name](*planes_problem(a, np.array([0.01]))))()
+    best = on_planes(MINIMISERS[name], a, np.array([0.01]))
     exact = 0.01 + np.linalg.norm(a)
     np.testing.assert_allclose(best.value, exact, atol={"sqp": 1e-9, "interior_point": 1e-6}.get(name, 2e-3))
 
@@ -200,10 +212,9 @@ def test_planes_that_meet_in_a_kink_are_climbed_to_it(name):
     angle = np.linspace(0, 2 * np.pi, 200_001)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     behind = []
-    minimise = jax.jit(lambda a, b: MINIMISERS[name](*planes_problem(a, b)))
     for planes in (2, 8, 8, 8, 8):
         a, b = 0.1 * rng.normal(size=(planes, 2)), 0.02 * rng.normal(size=planes)
-        best = minimise(a, b)
+        best = on_planes(MINIMISERS[name], np.resize(a, (8, 2)), np.resize(b, 8))  # two planes four times
         behind.append((circle @ a.T + b).min(1).max() - best.value)
     assert np.max(behind) < (1e-6 if name == "sqp" else 1e-5)
 
@@ -215,10 +226,9 @@ def test_the_step_of_keep_clear_is_that_of_its_linear_programme():
     """
     rng = np.random.default_rng(1)
     longest = 0.3
-    step = jax.jit(lambda a, b: sphere.max_min_step(*planes_problem(a, b), jnp.asarray(longest)))
     for _ in range(20):
         a, b = 0.1 * rng.normal(size=(8, 3)), 0.02 * rng.random(8)
-        w = np.asarray(step(a, b))
+        w = on_planes(sphere.max_min_step, a, b, np.array(longest))
         assert np.linalg.norm(w) <= longest + 1e-12
         gained = (a @ w + b).min() - b.min()
         assert gained > 0
@@ -229,19 +239,17 @@ def test_the_step_of_keep_clear_is_that_of_its_linear_programme():
 
 def test_the_first_direction_is_the_best_of_its_directions_by_what_was_seen():
     a, b = np.random.default_rng(2).normal(size=(5, 3)), np.zeros(5)
-    problem, seen = planes_problem(a, b)
     directions = sphere.spread_directions(64, 3)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-15)
     np.testing.assert_array_equal(directions[:3], np.eye(3))
-    guess = np.asarray(sphere.first_direction(problem, seen))
+    guess = on_planes(sphere.first_direction, a, b)
     np.testing.assert_array_equal(guess, directions[np.argmax((directions @ a.T + b).min(1))])
 
 
 def test_a_direction_beyond_a_joint_limit_is_never_the_answer():
     """Maximum with a forbidden pole: the answer lies on the joint limit."""
-    a = np.array([[0.0, 0.0, 0.1]])
-    limit = planes_problem(a, np.zeros(1), G=np.array([[0.0, 0.0, 1.0]]), h=np.array([0.5]))
+    pole = np.eye(4)[-1:]
     for name in ("sqp", "interior_point"):
-        best = jax.jit(lambda n=name: MINIMISERS[n](*limit))()
-        assert best.w[2] <= 0.5 + 1e-9
+        best = on_planes(MINIMISERS[name], 0.1 * pole, np.zeros(1), G=pole, h=np.array([0.5]))
+        assert best.w[3] <= 0.5 + 1e-9
         np.testing.assert_allclose(best.value, 0.05, atol=2e-4)

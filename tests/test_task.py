@@ -40,33 +40,33 @@ TASKS = {
 @pytest.mark.parametrize("name", TASKS)
 def test_the_value_is_where_the_points_are_and_the_jacobian_its_derivative(name):
     robot, task = made_once.robot(), TASKS[name]
-    value, jac = jax.jit(lambda x: task.value(robot, x)), jax.jit(lambda x: task.jacobian(robot, x))
-    poses = jax.jit(link_poses)
+    evaluated = made_once.quick_jit(lambda x: (task.value(robot, x), task.jacobian(robot, x), link_poses(robot, x)))
+    value = lambda x: np.asarray(evaluated(x)[0])  # noqa: E731
     for x in made_once.configurations(robot, 5):
-        T = np.asarray(poses(robot, jnp.asarray(x)))
+        found, jacobian, T = map(np.asarray, evaluated(x))
         by_hand = []
         for point in task.parts:
             own = T[-1 if point.link is None else point.link]
             offset = np.asarray(robot.T_link_tcp)[:3, 3] if point.link is None else np.array(point.offset_m)
             by_hand += (own[:3, :3] @ offset + own[:3, 3])[list(point.axes)].tolist()
         assert len(by_hand) == task.rows
-        np.testing.assert_allclose(value(x), by_hand, atol=1e-13)
-        slope = [(np.asarray(value(x + d)) - np.asarray(value(x - d))) / 2e-6 for d in 1e-6 * np.eye(6)]
-        np.testing.assert_allclose(jac(x), np.transpose(slope), atol=1e-8)
+        np.testing.assert_allclose(found, by_hand, atol=1e-13)
+        slope = [(value(x + d) - value(x - d)) / 2e-6 for d in 1e-6 * np.eye(6)]
+        np.testing.assert_allclose(jacobian, np.transpose(slope), atol=1e-8)
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_inverse_kinematics_reaches_any_task_and_its_null_space_leaves_it_alone(name):
     robot, task, rng = made_once.robot(), TASKS[name], np.random.default_rng(0)
-    value, residual_at, jacobian = map(jax.jit, (task.value, task.residual_at, task.jacobian))
-    reached = 0
+    value, residual_at, jacobian = map(made_once.quick_jit, (task.value, task.residual_at, task.jacobian))
+    basis_of, reached = made_once.quick_jit(null_basis), 0
     for x in made_once.configurations_near(made_once.START, 10, 0.5):
         target = value(robot, x)
         near, residual = reanchor(robot, jnp.asarray(x + rng.uniform(-0.1, 0.1, 6)), target, task.fine_m, task=task)
         np.testing.assert_allclose(residual, residual_at(robot, near, target), atol=1e-15)
         reached += bool(task.reached(residual))
         J = jacobian(robot, near)
-        basis = null_basis(J)
+        basis = basis_of(J)
         assert basis.shape == (6, task.freedom(robot))
         np.testing.assert_allclose(np.asarray(J) @ np.asarray(basis), 0.0, atol=1e-9)
     assert reached >= 8
@@ -77,7 +77,7 @@ def step_for(task: Task, x: np.ndarray, ahead: np.ndarray) -> step_qp.StepQP:
     return _assembled(task, made_once.robot(), jnp.asarray(x), jnp.asarray(ahead))
 
 
-@partial(jax.jit, static_argnames="task")
+@partial(made_once.quick_jit, static_argnames="task")
 def _assembled(task: Task, robot: Robot, x: jax.Array, ahead: jax.Array) -> step_qp.StepQP:
     error = task.error(task.value(robot, x), task.value(robot, ahead))
     far = jnp.full(1, 10.0), jnp.zeros((1, 6))
@@ -93,7 +93,7 @@ def test_both_solvers_take_the_same_step_for_any_task_also_without_a_choice(name
         host = ClarabelSolver(np.asarray(qp.P), 1, task_rows=task.rows).solve(
             jax.tree.map(lambda a: np.asarray(a)[None], qp)
         )
-        device = jax.jit(solve_step)(qp)
+        device = made_once.quick_jit(solve_step)(qp)
         assert host.status[0] == device.status == step_qp.QPStatus.SOLVED
         np.testing.assert_allclose(device.y, host.y[0], atol=1e-6)
         np.testing.assert_allclose(np.asarray(qp.A) @ np.asarray(device.y), qp.b, atol=1e-9)
@@ -103,7 +103,7 @@ def test_a_step_without_a_choice_that_breaks_a_limit_is_infeasible():
     task = TASKS["as many rows as joints"]
     x = np.array(made_once.START)
     qp = step_for(task, x, x + 0.05)._replace(ub=jnp.full(6, 0.01))
-    assert jax.jit(solve_step)(qp).status == step_qp.QPStatus.INFEASIBLE
+    assert made_once.quick_jit(solve_step)(qp).status == step_qp.QPStatus.INFEASIBLE
 
 
 def test_the_success_criterion_is_clear_by_the_margin_and_on_the_target():
@@ -170,7 +170,7 @@ def test_a_further_obstacle_is_kept_clear_of_as_the_workpiece_is():
     xs = np.array(made_once.START) + np.linspace(0, 1, 6)[:, None] * np.array([0.0, 0.25, -0.1, 0.0, 0.1, 0.0])
     scenario = dataclasses.replace(along(TCP_POSITION, xs), margin_m=np.asarray(margin_m))
 
-    @jax.jit
+    @made_once.quick_jit
     def smallest(floor: Floor, x):
         return floor.smallest(robot, scenario, bodies_at(robot, scenario, x))
 
