@@ -123,7 +123,7 @@ def test_a_typical_arm_has_the_sizes_that_imported_arms_with_a_torch_have(joints
     robot = typical_jobs._arm(joints)
     own_pairs = SelfCollision(typical_jobs._pairs(robot)[: typical_jobs.PAIRS[joints]])
     scene = Scene(robot, (own_pairs,)).for_programs()
-    bodies, pairs = (16, (128, 64, 8)) if joints == 6 else (24, (256, 128, 16))
+    bodies, pairs = (16, (128, 64, 8)) if joints == 6 else (24, (160, 80, 8))
     table = scene.obstacles[0].table
     assert (scene.robot.dof, len(scene.robot.capsule_link)) == (joints, bodies)
     assert (len(table.first), *table.numbers.shape) == pairs

@@ -28,7 +28,7 @@ from htcp_jax.reachability import obstruction
 from htcp_jax.spec import PlanConfig
 from htcp_jax.system import files
 
-BODIES, PAIRS = robots.PREPARED_BODIES, {6: 100, 7: 200, 8: 200}  # numbers of bodies and of their pairs, by joints
+BODIES, PAIRS = robots.PREPARED_BODIES, {6: 100, 7: 150, 8: 150}  # numbers of bodies and of their pairs, by joints
 COMPLETE = 6  # number of joints for which functions that follow dead ends and failed plans are compiled, too
 AT_SEAM = (0.0, -2.3, 0.5, 0.0, 0.5, -2.0)  # configuration of the GP50 [rad]
 CORNERS = 48  # at each end of a body's convex piece, which is a prism

@@ -184,7 +184,8 @@ class PairTable(NamedTuple):
 
 def _sizes() -> Iterator[tuple[int, int, int]]:
     """Return numbers of pairs, of rows, and of pairs in a row, for which programs are compiled; in growing order."""
-    return ((32 * 2**k, 16 * 2**k, 2 * 2**k) for k in count() if k != 1)  # arms with a torch have 35 pairs or more
+    yield from ((32, 16, 2), (128, 64, 8))  # arms with a torch have 35 pairs or more
+    yield from ((160 * 2**k, 80 * 2**k, 8 * 2**k) for k in count())  # usual arms of seven and eight joints have 150
 
 
 @lru_cache(maxsize=256)
