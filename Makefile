@@ -11,11 +11,11 @@ COMMA := ,
 PYTEST = $(VENV)/bin/python -m pytest --numprocesses logical --dist worksteal \
 	$(if $(WHOLE),--jaxtyping-packages=htcp_jax$(COMMA)beartype.beartype)
 # Tests that read files only: without JAX, annotations and the fixtures of the others.
-TEXT = --numprocesses logical --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutdir=tests/text tests/text
+TEXT = --override-ini=addopts=--quiet --override-ini=pythonpath=tests --confcutdir=tests/text tests/text
 # What `make check` runs: the mathematics; a small plan and bad inputs by the command.
 CHECKED = $(patsubst %,tests/test_%.py,mathematics numerics kinematics sphere qp cma_es cli)
 
-.PHONY: demo install lint check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz strangers lock \
+.PHONY: demo install lint types texts check test test-changed test-slow test-oldest notebooks docs gate update-baselines gate-runs gate-faults faults fuzz strangers lock \
 	release-check clean
 
 demo: $(VENV)/.installed  ## plan the default job, and compile what the first plans of other jobs need
@@ -25,10 +25,15 @@ demo: $(VENV)/.installed  ## plan the default job, and compile what the first pl
 
 lint: $(VENV)/.installed-test  ## style, imports, docstrings, shape annotations, types
 	$(VENV)/bin/ruff check .
+	@$(MAKE) --no-print-directory --jobs 2 types texts
+	@$(VENV)/bin/python -m benchmarks gpu --check || true
+
+types: $(VENV)/.installed-test
 	$(VENV)/bin/mypy
+
+texts: $(VENV)/.installed-test
 	$(VENV)/bin/python tests/lint.py
 	$(VENV)/bin/python -m pytest $(TEXT)
-	@$(VENV)/bin/python -m benchmarks gpu --check || true
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
 	@echo "A first answer: 2.5 minutes on two cores the first time"
