@@ -17,7 +17,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 cache_folder.enable()
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, which default thresholds visit again and again
-MAPS, MAX_MAPS = Path("/proc/self/maps"), 14_000  # of 65,530; at this number a worker takes up 4 GB
+MAPS, MAX_MAPS = Path("/proc/self/maps"), 30_000  # of 65,530; at this number a worker has 6 GB of programs
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
@@ -33,7 +33,7 @@ FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 @pytest.fixture(autouse=True, scope="module")
 def forget_executables():
-    """Clear compiled programs before they use up the memory, or the 65,530 memory maps of a process."""
+    """Clear compiled programs before they use up the 65,530 memory maps of a process, which crashes the compiler."""
     yield
     if not MAPS.exists():
         jax.clear_caches()
