@@ -36,7 +36,7 @@ texts: $(VENV)/.installed-test
 	$(VENV)/bin/python -m pytest $(TEXT)
 
 check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan, bad inputs
-	@echo "A first answer: 2.2 minutes on two cores the first time"
+	@echo "A first answer: two minutes on two cores the first time"
 	$(VENV)/bin/htcp doctor
 	$(PYTEST) $(CHECKED)
 
