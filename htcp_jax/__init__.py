@@ -39,7 +39,7 @@ _FLAGS = (
 )
 _given = os.environ.get("XLA_FLAGS", "")
 _own = (flag for flag in _FLAGS if flag.partition("=")[0] not in _given)
-os.environ["XLA_FLAGS"] = " ".join([*([_given] if _given else []), *_own])
+os.environ["XLA_FLAGS"] = " ".join(filter(None, (_given, *_own)))
 
 # 64-bit floats: clearances of 0.1 mm decide results. 32-bit floats resolve 0.1 um at 2 m, and the step QPs lose more
 # digits. JAX is not imported here, because the command installs its signal handlers first.

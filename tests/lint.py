@@ -254,7 +254,7 @@ def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
         modules = [(alias.name, "") for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
         modules = [(str(node.module), alias.name) for alias in node.names]
-    elif isinstance(node, ast.Call) and "import_module" in (getattr(node.func, key, "") for key in ("id", "attr")):
+    elif isinstance(node, ast.Call) and _called(node).endswith("import_module"):
         called = [one.value for one in node.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
         modules = [module.rpartition(".")[::2] for module in called]
     else:
@@ -262,6 +262,11 @@ def imports_in(node: ast.AST) -> Iterator[tuple[str, str]]:
     for module, name in modules:
         if module.partition(".")[0] == PACKAGE and (name or module != PACKAGE):
             yield module.removeprefix(PACKAGE).removeprefix("."), name
+
+
+def _called(call: ast.Call) -> str:
+    """Last name of what is called, for example "import_module" of "importlib.import_module"; "" if it has none."""
+    return getattr(call.func, "attr", getattr(call.func, "id", ""))
 
 
 def public_names(package: Path, unit: str) -> dict[str, str]:
