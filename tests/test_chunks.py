@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from test_motion_proof import motions
 
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state, proven_result
-from htcp_jax.clearance.proof.motion_proof import Tube, next_interval
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, initial_state, moved_on, proven_result
+from htcp_jax.clearance.proof.motion_proof import Tube
 from htcp_jax.device import Executor, Loop, by_chunks
 from htcp_jax.device.batching import chunked
 from htcp_jax.device.lane_function import BatchSize, DeviceSizes
@@ -90,8 +90,8 @@ def test_of_a_path_that_is_not_proven_nothing_else_is_reported():
 def made_up(scene, free_radius, place, bad, kind) -> Loop:
     """A bisection without an arm.
 
-    An interval holds if it is shorter than the slack at its middle; a middle near one of the bad places is refuted,
-    whether its interval holds or not.
+    An interval holds if it is shorter than the slack at its middle, and is otherwise divided into two, four or eight
+    parts; a middle near one of the bad places is refuted, whether its interval holds or not.
     """
 
     def look(far: Bisection) -> Bisection:
@@ -108,9 +108,8 @@ def made_up(scene, free_radius, place, bad, kind) -> Loop:
             far.proof.queries + 1,
             jnp.maximum(far.proof.depth, far.depth.astype(jnp.int32)),
         )
-        moved = next_interval(far.index, far.depth), (2 * far.index, far.depth + 1)
-        index, depth = jax.tree.map(lambda *segment_status: jnp.where(left >= 0, *segment_status), *moved)
-        return Bisection(index, depth, far.end, proof)
+        halvings = 1 + (left + half < 0).astype(int) + (left + 1.5 * half < 0).astype(int)
+        return moved_on(far, left >= 0, jnp.clip(halvings, 1, jnp.maximum(14 - far.depth, 1)), proof)
 
     begin = jax.tree.map(jnp.asarray, initial_state())
     return Loop(begin, lambda far: far.going, look, lambda far: proven_result(far.proof))

@@ -119,8 +119,10 @@ def test_rows_that_decide_nothing_are_not_measured():
 
     @made_once.quick_jit
     def query(cloud, travel, is_recorded, known):
-        rows, known = known_rows.free_radii(robot, (cloud,), where, x, bodies, [travel], 0.0, is_recorded, known)
-        return rows[0], known
+        rows, known = known_rows.free_radii(
+            robot, (cloud,), where, x, bodies, [travel], [0 * travel], 0.0, is_recorded, known
+        )
+        return rows[0].free_radius, known
 
     nothing, little = known_rows.nothing_known(robot, (near,)), jnp.full(2, 0.01)
     first, known = query(near, little, False, nothing)

@@ -297,7 +297,8 @@ def test_the_gradient_is_that_of_the_distance():
 
 def test_a_path_that_only_the_pieces_prove_is_clear_at_dense_samples():
     arm = arm_with_pieces()
-    scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])])))
+    pairs = SelfCollision(((5, 0), (5, 1), (6, 0), (6, 1)))
+    scene = Scene(arm, (cloud_of(points(300), 1e-3), fixtures(arm, [("crate", SOLIDS["crate"])]), pairs))
     bare = arm.pieces._replace(excess_m=jnp.zeros_like(arm.pieces.excess_m))  # the capsules decide, in the same program
     thick = scene._replace(robot=dataclasses.replace(arm, pieces=bare))
     proved = quick_jit(lambda scene, a, b: prove(scene, WHERE, a, b, kept=0.5))
@@ -395,9 +396,12 @@ def test_a_piece_that_turns_about_the_axis_of_its_capsule_is_not_called_clear(ki
     a, b = jnp.array([-1.5, 0, 0]), jnp.array([1.5, 0.0, 0.0])
     near, far = (float(minimum_clearance(arm, (obstacle,), WHERE, jnp.array([x, 0, 0]))) for x in (np.pi / 2, 0.0))
     assert near < 0 < far
-    proved = quick_jit(lambda a, b: prove(Scene(arm, (obstacle,)), WHERE, a, b).verdict)
-    assert int(proved(a, b)) == SegmentStatus.IN_COLLISION
-    assert int(proved(jnp.array([-0.3, 0, 0]), jnp.array([0.3, 0, 0]))) == SegmentStatus.VALID
+    proved = quick_jit(lambda a, b: prove(Scene(arm, (obstacle,)), WHERE, a, b, kept=0.99))
+    assert int(proved(a, b).verdict) == SegmentStatus.IN_COLLISION
+    beside = proved(jnp.array([-0.3, 0, 0]), jnp.array([0.3, 0, 0]))
+    assert int(beside.verdict) == SegmentStatus.VALID
+    if kind == "ball":  # 50 mm away from the blade at all of the path
+        assert int(beside.queries) == 1 and float(beside.clearance) == pytest.approx(LIMIT_M)
 
 
 def test_a_witness_is_a_point_of_the_cloud_also_where_rounding_meets_the_limit(tmp_path):

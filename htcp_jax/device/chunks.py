@@ -2,9 +2,10 @@
 
 Most proofs need one or two clearance queries, a few need thousands. Without chunks, all slots would wait for these few.
 Each slot therefore proves one chunk of a path. When the chunk is done, the slot takes the next path. When no path is
-left, it takes over the last part of another slot's chunk: the longest interval that bisection has not reached. The
-result of bisection on an interval does not depend on earlier intervals. The combined result is therefore the same as if
-each path had been searched from its start to its end. Results after the place where a path is refuted are dropped.
+left, it takes over the last part of another slot's chunk: the longest interval that bisection will check and has not
+reached. The result of bisection on an interval does not depend on earlier intervals. The combined result is therefore
+the same as if each path had been searched from its start to its end. Results after the place where a path is refuted
+are dropped.
 """
 
 from collections.abc import Callable
@@ -75,11 +76,16 @@ def _share_chunks(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     gives &= nth_giver < jnp.sum(free, dtype=jnp.int32)
     takes = free & (nth_free < jnp.sum(gives, dtype=jnp.int32))
     giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
-    # Length of the longest interval at the end that bisection will reach: the largest power of two in the rest.
-    level = 63 - jax.lax.clz(jnp.maximum(rest, 1))
-    start = search.end - (1 << level)
+    # The longest part of a divided interval that ends where the chunk ends and is not longer than the rest.
+    deepest = bisection.WHOLE_DEPTH - (63 - jax.lax.clz(jnp.maximum(rest, 1)))
+    parts = search.levels & -(1 << deepest)
+    depth = jax.lax.population_count((parts & -parts) - 1)
+    start = search.end - (bisection.WHOLE >> depth)
     new = bisection.initial_state()._replace(
-        index=start[giver] >> level[giver], depth=bisection.WHOLE_DEPTH - level[giver], end=search.end[giver]
+        index=start[giver] >> (bisection.WHOLE_DEPTH - depth[giver]),
+        depth=depth[giver],
+        levels=1 << depth[giver],
+        end=search.end[giver],
     )
     shortened = search._replace(end=jnp.where(gives, start, search.end))
     search = jax.tree.map(lambda fresh, own: jnp.where(takes, fresh, own), new, shortened)

@@ -58,15 +58,15 @@ class Fixtures(Obstacle):
     def contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Contacts:
         """Return the contact of every body with its nearest solid."""
         if robot.pieces is not None:
-            return narrow_phase.decide(robot, bodies, [self.doubts(robot, where, bodies)])[0]
+            doubts = self.doubts(robot, bodies, narrow_phase.limit_m(where))
+            return narrow_phase.decide(robot, bodies, [doubts])[0]
         return self._nearest(bodies.p, bodies.q, robot.capsule_radius)
 
-    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
+    def doubts(self, robot: Robot, bodies: BodyAxes, limit: Float[jax.Array, "..."]) -> narrow_phase.Doubts:
         """Return the bodies whose capsules are in doubt, and their pairs with solids, see `narrow_phase`."""
         if self.solids is None and not all(isinstance(kind, HalfSpace) for kind in (*self.simple, self.pieces) if kind):
             raise ValueError("the fixtures were made for an arm without pieces; make them for this arm")
         capsules = self._nearest(bodies.p, bodies.q, robot.capsule_radius)
-        limit = narrow_phase.limit_m(where)
         doubt = narrow_phase.in_doubt(capsules.distance, robot.pieces.excess_m, limit)
         parts = [each.distance - robot.capsule_radius[None] for each in self._each_simple(bodies.p, bodies.q)]
         if self.pieces is not None:

@@ -7,7 +7,7 @@ The row's distance is then
     max(D of the capsules, min(D of the pieces, limit)).
 
 It is continuous, and a lower bound on the distance of the meshes. The contact and the gradient are those of the larger
-term.
+term. A proof replaces the limit by a larger one, as farther bodies may move farther.
 
 The pairs of all obstacles are measured by one search, so that compiled code contains it once, see `decide_together`.
 """
@@ -59,7 +59,7 @@ def limit_m(where: HasWorkpiecePose) -> Scalar:
     return margin_m(where) + CLOSE_M
 
 
-def in_doubt(distance: Float[Array, "R"], excess_m: Float[Array, "R"], limit: Scalar) -> Bool[Array, "R"]:
+def in_doubt(distance: Float[Array, "R"], excess_m: Float[Array, "R"], limit: Float[Array, "..."]) -> Bool[Array, "R"]:
     """Return True for rows in doubt: their capsules are below the limit, but their pieces may be clear.
 
     Args:
@@ -70,7 +70,7 @@ def in_doubt(distance: Float[Array, "R"], excess_m: Float[Array, "R"], limit: Sc
     return (excess_m > 0) & (distance < limit) & (distance > -excess_m)
 
 
-def undecided(capsules: Contacts, limit: Scalar) -> Contacts:
+def undecided(capsules: Contacts, limit: Float[Array, "..."]) -> Contacts:
     """Return the capsules' contacts at the same points, with all distances set to `limit` [m]."""
     return capsules._replace(
         distance=jnp.broadcast_to(limit, capsules.distance.shape),
@@ -181,10 +181,11 @@ def _padded(rows: Float[Array, "n 3"], count: int) -> Float[Array, "m 3"]:
 @register_pytree
 @dataclass(frozen=True)
 class _Decided(Obstacle):
-    """The obstacle `kind` at one configuration, where its contacts `found` are known."""
+    """The obstacle `kind` at one configuration, where its contacts and its capsules' distances are known."""
 
     kind: Obstacle
     found: Contacts
+    of_capsules: Float[Array, "R"]  # [m]
 
     @property
     def per_body(self) -> bool:
@@ -203,6 +204,7 @@ def decide_together(
     where: HasWorkpiecePose,
     bodies: BodyAxes,
     needed: Sequence[Bool[Array, ""]] | None = None,
+    most: Sequence[Float[Array, "_"]] | None = None,
 ) -> Obstacles:
     """Return the obstacles for queries at one configuration.
 
@@ -215,17 +217,33 @@ def decide_together(
         where: A scenario, or another `HasWorkpiecePose`.
         bodies: The bodies.
         needed: True for obstacles that will be queried; None: all.
+        most: For each row of each obstacle, a larger limit than `limit_m` [m]; None: `limit_m`.
     """
     in_pairs = [] if robot.pieces is None else [k for k, each in enumerate(obstacles) if each.in_pairs]
     if not in_pairs:
         return obstacles
-    look = [lambda each=obstacles[k]: each.doubts(robot, where, bodies) for k in in_pairs]
+    limits = [limit_m(where)] * len(obstacles) if most is None else most
+    look = [lambda each=obstacles[k], limit=limits[k]: each.doubts(robot, bodies, limit) for k in in_pairs]
     if needed is None:
         doubts = [own() for own in look]
     else:
         doubts = [jax.lax.cond(needed[k], own, partial(_no_doubts, own)) for k, own in zip(in_pairs, look, strict=True)]
-    found = dict(zip(in_pairs, decide(robot, bodies, doubts), strict=True))
-    return tuple(_Decided(each, found[k]) if k in found else each for k, each in enumerate(obstacles))
+    found = zip(in_pairs, decide(robot, bodies, doubts), doubts, strict=True)
+    decided = {k: (contacts, own.capsules.distance) for k, contacts, own in found}
+    return tuple(_Decided(each, *decided[k]) if k in decided else each for k, each in enumerate(obstacles))
+
+
+def of_capsules(where: HasWorkpiecePose, each: Obstacle, free_radius: Float[Array, "R"]) -> Float[Array, "R"]:
+    """Return the free radii of the capsules [m]; -inf where a piece may be nearest and they are not known.
+
+    Args:
+        where: A scenario, or another `HasWorkpiecePose`.
+        each: An obstacle from `decide_together`.
+        free_radius: Its free radii [m]; -inf for an obstacle that is not needed.
+    """
+    if not isinstance(each, _Decided):
+        return jnp.where(free_radius > limit_m(where), free_radius, -jnp.inf)
+    return jnp.minimum(each.of_capsules, free_radius)
 
 
 def _no_doubts(look: Callable[[], Doubts]) -> Doubts:

@@ -164,7 +164,7 @@ class Obstacle:
         """
         raise NotImplementedError
 
-    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> Any:
+    def doubts(self, robot: Robot, bodies: BodyAxes, limit: Float[jax.Array, "..."]) -> Any:
         """Return the rows in doubt as `narrow_phase.Doubts`, for a kind with `in_pairs` and an arm with pieces."""
         raise NotImplementedError
 

@@ -76,7 +76,8 @@ class SelfCollision(Obstacle):
 
     def _contacts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, every: "_MeasuredPairs") -> Contacts:
         if robot.pieces is not None:
-            return narrow_phase.decide(robot, bodies, [self._doubts(robot, where, every)])[0]
+            doubts = self._doubts(robot, every, narrow_phase.limit_m(where))
+            return narrow_phase.decide(robot, bodies, [doubts])[0]
         return every.contacts(self.table_of(robot).nearest(every.distance))
 
     def any_below(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit_m: Scalar) -> Scalar:
@@ -85,16 +86,16 @@ class SelfCollision(Obstacle):
             return super().any_below(robot, where, bodies, limit_m)
         return jnp.min(self._measured(robot, bodies).distance)
 
-    def doubts(self, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes) -> narrow_phase.Doubts:
+    def doubts(self, robot: Robot, bodies: BodyAxes, limit: Float[jax.Array, "..."]) -> narrow_phase.Doubts:
         """Return the rows whose capsules are in doubt, and their pairs, see `narrow_phase`."""
-        return self._doubts(robot, where, self._measured(robot, bodies))
+        return self._doubts(robot, self._measured(robot, bodies), limit)
 
-    def _doubts(self, robot: Robot, where: HasWorkpiecePose, every: "_MeasuredPairs") -> narrow_phase.Doubts:
+    def _doubts(self, robot: Robot, every: "_MeasuredPairs", limit: Float[jax.Array, "..."]) -> narrow_phase.Doubts:
         table = self.table_of(robot)
         capsules = every.contacts(table.nearest(every.distance))
         first, second, row_of_pair = map(jnp.asarray, (table.first, table.second, table.row))
-        limit, excess = narrow_phase.limit_m(where), robot.pieces.excess_m
-        doubt = narrow_phase.in_doubt(every.distance, excess[first] + excess[second], limit)
+        limit, excess = jnp.broadcast_to(limit, capsules.distance.shape), robot.pieces.excess_m
+        doubt = narrow_phase.in_doubt(every.distance, excess[first] + excess[second], limit[row_of_pair])
         doubt &= (capsules.distance < limit)[row_of_pair]
         certain = table.nearest(jnp.where(doubt, jnp.inf, every.distance))
         exact = every.contacts(certain)

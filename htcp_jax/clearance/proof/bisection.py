@@ -1,4 +1,8 @@
-"""State and result of the bisection of a joint path, see `motion_proof`."""
+"""State and result of the bisection of a joint path, see `motion_proof`.
+
+An interval that is not proven is divided into two, four or eight equal parts, by one, two or three halvings. Intervals
+are checked from the start of the path to its end.
+"""
 
 import enum
 from functools import partial
@@ -40,11 +44,13 @@ class Bisection(NamedTuple):
     """State of the proof for a chunk of a joint path.
 
     The path's parameter runs from 0 to 1. Its interval [index, index + 1] 2^-depth is checked next; everything before
-    is proven. The chunk ends at end / WHOLE. `proof` is the result so far.
+    is proven. The chunk ends at end / WHOLE. Bit d of `levels` is 1 if an interval of length 2^-d that contains the
+    next interval is one of the parts of a divided interval, or the complete chunk. `proof` is the result so far.
     """
 
     index: Int[Array, "*n"]
     depth: Int[Array, "*n"]
+    levels: Int[Array, "*n"]
     end: Int[Array, "*n"]
     proof: Proof
 
@@ -62,7 +68,26 @@ class Bisection(NamedTuple):
 def initial_state() -> Bisection:
     """Return the initial state for a complete path."""
     proof = Proof(np.int32(PathVerdict.VALID), np.float64(1), np.float64(np.inf), np.int32(0), np.int32(0))
-    return Bisection(np.int64(0), np.int64(0), np.int64(WHOLE), proof)
+    return Bisection(np.int64(0), np.int64(0), np.int64(1), np.int64(WHOLE), proof)
+
+
+def moved_on(search: Bisection, proven: Bool[Array, ""], halvings: Int[ArrayLike, ""], proof: Proof) -> Bisection:
+    """Return the state after an interval was checked: at the part after it, or at the first of its own parts.
+
+    Args:
+        search: The state before.
+        proven: True if the interval is proven.
+        halvings: Number of halvings that divide the interval if it is not proven, at least one.
+        proof: The new result.
+    """
+    index, depth, levels, end, _ = search
+    following = index + 1
+    up = jnp.minimum(jax.lax.population_count((following & -following) - 1), depth)
+    longest = levels & -(1 << (depth - up))  # lengths of the parts that may begin where the interval ends
+    part = jax.lax.population_count((longest & -longest) - 1)
+    after = following >> (depth - part), part, levels & ((2 << part) - 1)
+    within = index << halvings, depth + halvings, levels | (1 << (depth + halvings))
+    return Bisection(*jax.tree.map(partial(jnp.where, proven), after, within), end, proof)
 
 
 def proven_result(proof: Proof) -> Proof:

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.distance.sweep import BodySweep, RequiredClearance
-from htcp_jax.clearance.obstacles import narrow_phase
 from htcp_jax.clearance.obstacles.obstacle import (
     BodyAxes,
     HasWorkpiecePose,
@@ -20,10 +19,12 @@ from htcp_jax.clearance.obstacles.obstacle import (
     RowPairs,
     bodies_at,
 )
-from htcp_jax.clearance.proof.known_rows import KnownRows, free_radii
+from htcp_jax.clearance.proof.known_rows import KnownRows, MeasuredRows, free_radii
 from htcp_jax.clearance.proof.motion_bound import OUTSIDE_M, JointSweep, body_sweep, pair_travel_bound
 from htcp_jax.model import Robot, moved_by
-from htcp_jax.types import Array, Bool, Float, Joints, Scalar
+from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar
+
+MOST_HALVINGS = 3  # with one narrow place at the middle, eight parts need no more checks than repeated halving
 
 
 class Interval(NamedTuple):
@@ -32,6 +33,7 @@ class Interval(NamedTuple):
     middle: Scalar  # lower bound on D at the interval's middle [m]
     clear: Scalar  # lower bound on D on the complete interval [m]: the required clearance if no share of D is kept
     proven: Bool[Array, ""]  # True: `clear` is at least the required clearance
+    halvings: Int[Array, ""]  # estimate: an interval that is not proven must be halved so often, 1 to MOST_HALVINGS
 
 
 def on_interval(
@@ -62,31 +64,33 @@ def on_interval(
             all rows are measured.
     """
     if not obstacles:
-        return Interval(jnp.full((), jnp.inf), jnp.full((), jnp.inf), jnp.full((), True)), known
+        return Interval(jnp.full((), jnp.inf), jnp.full((), jnp.inf), jnp.full((), True), jnp.ones((), int)), known
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, sweep)
     rows = [each.rows(robot) for each in obstacles]
     travels = [moves.travel if own.other is None else pair_travel_bound(robot, own, x, sweep) for own in rows]
-    if known is None:
-        measured = narrow_phase.decide_together(robot, obstacles, where, bodies)
-        free_radius = [each.free_radius(robot, where, bodies) for each in measured]
-    else:
-        free_radius, known = free_radii(robot, obstacles, where, x, bodies, travels, least, kept > 0, known)
-    middle = jnp.min(jnp.concatenate(free_radius))
+    turns = [piece_turn_bound(robot, own, sweep.of_joints(robot).turns) for own in rows]
+    free_radius, known = free_radii(robot, obstacles, where, x, bodies, travels, turns, least, kept > 0, known)
+    middle = jnp.min(jnp.concatenate([own.distance for own in free_radius]))
     good = jnp.maximum(kept * middle, least)
     # The computed bound may exceed the required one, as it is recorded as the proven clearance.
     required = jnp.where(keeps, good, least)
     wanted = RequiredClearance(requested, required, jnp.maximum(jnp.sqrt(kept) * middle, least))
-    clear = []
-    for each, own, own_rows, travel in zip(obstacles, free_radius, rows, travels, strict=True):
-        if robot.pieces is not None:  # a distance up to the limit may be that of a piece
-            own_turn = piece_turn_bound(robot, own_rows, sweep.of_joints(robot).turns)
-            travel = travel + jnp.where(own <= narrow_phase.limit_m(where), own_turn, 0.0)
-        by_travel = own - travel
-        clear.append(
-            _closer(each, robot, where, bodies, moves, own, by_travel, good, wanted) if each.sweeps else by_travel
-        )
+    clear, halvings = [], jnp.ones((), int)
+    for each, own, travel, turn in zip(obstacles, free_radius, travels, turns, strict=True):
+        by_travel = _left(own, travel, turn)
+        if each.sweeps:
+            clear.append(_closer(each, robot, where, bodies, moves, own.distance, by_travel, good, wanted))
+        else:
+            too_far = [jnp.any(_left(own, 0.5**k * travel, 0.5**k * turn) < required) for k in range(1, MOST_HALVINGS)]
+            halvings = jnp.maximum(halvings, 1 + sum(each.astype(int) for each in too_far))
+            clear.append(jnp.minimum(by_travel, own.distance))
     clear = jnp.min(jnp.concatenate(clear))
-    return Interval(middle, jnp.where(kept > 0, clear, least), clear >= wanted.least), known
+    return Interval(middle, jnp.where(kept > 0, clear, least), clear >= wanted.least, halvings), known
+
+
+def _left(own: MeasuredRows, travel: Float[Array, "R"], turn: Float[Array, "R"]) -> Float[Array, "R"]:
+    """Return what travel leaves of each row's free radius [m]; a piece also turns about the axis of its capsule."""
+    return jnp.maximum(own.of_capsules, own.free_radius - turn) - travel
 
 
 def _closer(
@@ -119,13 +123,16 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> 
     """Return bounds on the displacement that rotation adds to points of the rows' pieces [m].
 
     A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not symmetric: its
-    points are up to the capsule's radius r away from the axis, and move about it by |(R - 1) v| <= r min(angle, 2).
+    points are up to the capsule's radius r away from the axis, and move about it by |(R - 1) v| <= r min(angle, 2). For
+    an arm without pieces the bounds are 0.
 
     Args:
-        robot: The robot, with pieces.
+        robot: The robot.
         rows: Both sides of each row; displacements are relative to the other side's link.
         turns: Largest distance of every joint q from the middle [rad or m].
     """
+    if robot.pieces is None:
+        return jnp.zeros(len(rows.body))
     hinge, body = ~jnp.asarray(robot.slides), rows.body
     moves = jnp.asarray(moved_by(robot.parents))
     between = hinge[None] & (moves[rows.links(robot)] ^ moves[jnp.asarray(rows.others)])

@@ -1,4 +1,4 @@
-"""Free radii that a proof has measured, and what they imply at other configurations.
+"""Free radii that decide an interval of a proof: those that it measures, and those known from other configurations.
 
 Let a row's free radius be f at one configuration, and let the ends of its body's axis be at most m away at another one,
 both seen from the row's other side. The free radius there is at least f - m and, if f is an exact distance, at most
@@ -6,8 +6,12 @@ f + m. At the middle of an interval the smallest of these upper bounds is an upp
 than that on all of the interval changes neither D nor the interval's bound, so it is not measured. What is known
 therefore saves time, and changes no result. If only the required clearance is recorded, a row is not measured if it has
 that.
+
+For an arm with pieces, D of a row in doubt is at most `narrow_phase.limit_m`. Its free radius is that with a larger
+limit: with the distance that decides the interval.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,13 +21,25 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.obstacles import narrow_phase
-from htcp_jax.clearance.obstacles.obstacle import BodyAxes, HasWorkpiecePose, Obstacles, RowPairs
+from htcp_jax.clearance.obstacles.obstacle import BodyAxes, HasWorkpiecePose, Obstacle, Obstacles, RowPairs
 from htcp_jax.clearance.proof.motion_bound import ROUNDING_M
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.numerics import product
 from htcp_jax.types import Bool, Float, Joints, Scalar
 
 Rows = list[Float[jax.Array, "_"]]  # one array per obstacle, with one value per row
+
+
+class MeasuredRows(NamedTuple):
+    """An obstacle's rows at the middle of an interval; rows that do not decide the interval have lower bounds."""
+
+    free_radius: Float[jax.Array, "R"]  # [m]
+    of_capsules: Float[jax.Array, "R"]  # free radius of the capsules alone [m]; without pieces the same
+    distance: Float[jax.Array, "R"]  # D [m]
+
+    def at_least(self, lower: Float[jax.Array, "R"]) -> "MeasuredRows":
+        """Return the rows, with lower bounds that are known [m] in place of smaller values; they are of capsules."""
+        return MeasuredRows(*(jnp.maximum(own, lower) for own in self))
 
 
 class KnownRows(NamedTuple):
@@ -56,15 +72,16 @@ def free_radii(
     where: HasWorkpiecePose,
     x: Joints,
     bodies: BodyAxes,
-    travel: Rows,
+    travels: Rows,
+    turns: Rows,
     least: Float[ArrayLike, ""],
     is_recorded: Bool[ArrayLike, ""],
-    known: KnownRows,
-) -> tuple[Rows, KnownRows]:
-    """Return the free radii at x of the rows that may decide an interval, and what is known then.
+    known: KnownRows | None,
+) -> tuple[list[MeasuredRows], KnownRows | None]:
+    """Return the rows of each obstacle at x, as far as they may decide an interval, and what is known then.
 
-    Other rows get lower bounds, which have the required clearance on all of the interval. If the clearance is recorded,
-    they are also larger than the smallest free radius at x on all of it.
+    Other rows have the required clearance on all of the interval. If the clearance is recorded, they are also larger
+    than the smallest distance at x on all of it.
 
     Args:
         robot: The robot.
@@ -72,25 +89,33 @@ def free_radii(
         where: A scenario, or another `HasWorkpiecePose`.
         x: The interval's middle [rad or m].
         bodies: The bodies at x.
-        travel: The rows' largest displacements on the interval [m].
+        travels: The rows' largest displacements on the interval [m].
+        turns: What the rotation of pieces adds to them [m].
         least: Required clearance [m].
         is_recorded: True if the proven clearance is recorded; False if only the required one is.
-        known: What is known of the same scenario.
+        known: What is known of the same scenario; None: all rows are measured.
     """
-    ends, starts = _relative_ends(robot, _rows(robot, obstacles), x, bodies), np.cumsum([0, *map(len, travel)])
+    if known is None:
+        most = _most(where, travels, turns, jnp.where(is_recorded, jnp.inf, least))
+        own = narrow_phase.decide_together(robot, obstacles, where, bodies, most=most)
+        return [_rows_of(robot, where, each, each.free_radius(robot, where, bodies)) for each in own], None
+    ends, starts = _relative_ends(robot, _rows(robot, obstacles), x, bodies), np.cumsum([0, *map(len, travels)])
     bounds = _bounds(robot, where, known, ends)
     lower, upper = ([own[start:end] for start, end in pairwise(starts)] for own in bounds)
     exact, others = ([k for k, each in enumerate(obstacles) if each.is_exact is kind] for kind in (True, False))
     smallest, seen = _smallest([upper[k] for k in exact]), {}
     for numbers in (exact, others):
         needed = jnp.maximum(jnp.where(is_recorded, smallest, ROUNDING_M), jnp.maximum(least, ROUNDING_M))
-        enough = {k: _enough(robot, where, lower[k], travel[k], needed) for k in numbers}
-        seen |= _measured(robot, obstacles, where, bodies, enough)
-        smallest = _smallest([jnp.maximum(seen[k], lower[k]) for k in exact])
-    measured = jnp.concatenate([seen[k] for k in range(len(obstacles))])
+        enough = [_enough(robot, where, lower[k], travels[k], needed) for k in numbers]
+        most = _most(where, travels, turns, needed)
+        measured = _measured(robot, [obstacles[k] for k in numbers], where, bodies, enough, [most[k] for k in numbers])
+        seen |= dict(zip(numbers, measured, strict=True))
+        smallest = _smallest([jnp.maximum(seen[k].distance, lower[k]) for k in exact])
+    measured = jnp.concatenate([seen[k].distance for k in range(len(obstacles))])
     is_new = (measured > -jnp.inf) & (measured >= bounds[0])
     radius, ends = jnp.where(is_new, measured, known.free_radius), jnp.where(is_new[:, None, None], ends, known.ends)
-    return [jnp.maximum(seen[k], lower[k]) for k in range(len(obstacles))], KnownRows(radius, ends)
+    rows = [seen[k].at_least(lower[k]) for k in range(len(obstacles))]
+    return rows, KnownRows(radius, ends)
 
 
 def _smallest(rows: Rows) -> Scalar:
@@ -107,20 +132,41 @@ def _enough(
     return jnp.where(lower - travel < least, enough, -jnp.inf)
 
 
+def _most(where: HasWorkpiecePose, travels: Rows, turns: Rows, least: Scalar) -> Rows:
+    """Return the distances up to which pieces may decide the interval [m]."""
+    limit = narrow_phase.limit_m(where)
+    least = jnp.minimum(least, limit)
+    return [jnp.maximum(limit, least + travel + turn) for travel, turn in zip(travels, turns, strict=True)]
+
+
 def _measured(
-    robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, bodies: BodyAxes, enough: dict[int, jax.Array]
-) -> dict[int, jax.Array]:
-    """Return free radii of some obstacles up to `enough`, by the obstacle's number; -inf for obstacles not needed."""
-    needed = [jnp.any(own > -jnp.inf) for own in enough.values()]
-    own = narrow_phase.decide_together(robot, tuple(obstacles[k] for k in enough), where, bodies, needed)
-    return {
-        k: jax.lax.cond(
+    robot: Robot,
+    obstacles: Sequence[Obstacle],
+    where: HasWorkpiecePose,
+    bodies: BodyAxes,
+    enough: Rows,
+    most: Rows,
+) -> list[MeasuredRows]:
+    """Return the rows of some obstacles, with free radii up to `enough` and -inf for obstacles that are not needed."""
+    needed = [jnp.any(own > -jnp.inf) for own in enough]
+    queries = narrow_phase.decide_together(robot, tuple(obstacles), where, bodies, needed, most)
+    return [
+        jax.lax.cond(
             is_needed,
-            lambda each=each, k=k: each.free_radius_up_to(robot, where, bodies, enough[k]),
-            lambda k=k: jnp.full(enough[k].shape, -jnp.inf),
+            lambda each=each, own=own: _rows_of(robot, where, each, each.free_radius_up_to(robot, where, bodies, own)),
+            lambda each=each, own=own: _rows_of(robot, where, each, jnp.full(own.shape, -jnp.inf)),
         )
-        for k, each, is_needed in zip(enough, own, needed, strict=True)
-    }
+        for each, own, is_needed in zip(queries, enough, needed, strict=True)
+    ]
+
+
+def _rows_of(robot: Robot, where: HasWorkpiecePose, each: Obstacle, free_radius: Float[jax.Array, "R"]) -> MeasuredRows:
+    """Return an obstacle's rows with these free radii, for an obstacle of `decide_together`."""
+    if robot.pieces is None:
+        return MeasuredRows(free_radius, free_radius, free_radius)
+    of_capsules = narrow_phase.of_capsules(where, each, free_radius)
+    distance = jnp.maximum(jnp.minimum(free_radius, narrow_phase.limit_m(where)), of_capsules)
+    return MeasuredRows(free_radius, of_capsules, distance)
 
 
 def _bounds(

@@ -3,7 +3,8 @@
 The proof is by bisection. An interval of the path is proven if every body's free radius at the middle is larger than
 the motion of the body's points within the interval, relative to the obstacle, and the TCP can neither leave the tube
 nor reverse. It is refuted if the middle itself is in collision, outside the tube, or moving backwards. Otherwise it is
-halved. There are three results: proven, refuted at a place, and undecided at the finest subdivision.
+divided into two, four or eight equal parts, as many as the ratio of motion to free radius suggests. There are three
+results: proven, refuted at a place, and undecided at the finest subdivision.
 
 The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
 
@@ -16,15 +17,13 @@ which may depend on the TCP's position, see `margin`.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from htcp_jax.clearance.obstacles.obstacle import HasWorkpiecePose, Scene
-from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof
+from htcp_jax.clearance.proof.bisection import Bisection, PathVerdict, Proof, moved_on
 from htcp_jax.clearance.proof.interval import on_interval
 from htcp_jax.clearance.proof.joint_path import JointPath, StraightPath
 from htcp_jax.clearance.proof.known_rows import KnownRows
@@ -88,7 +87,7 @@ def query_on(
         raise ValueError("goals of the task can be required on a straight joint path only")
 
     def check_next_interval(search: Bisection, known: KnownRows | None) -> tuple[Bisection, KnownRows | None]:
-        index, depth, end, proof = search
+        index, depth, proof = search.index, search.depth, search.proof
         half = 0.5 * jnp.ldexp(1.0, -depth)
         place = (2 * index + 1).astype(half.dtype) * half
         x, sweep = path.about(place, half)
@@ -122,8 +121,8 @@ def query_on(
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
-        index, depth = jax.tree.map(partial(jnp.where, proven), next_interval(index, depth), (2 * index, depth + 1))
-        return Bisection(index, depth, end, found), known
+        most = jnp.minimum(deepest, jnp.where(keeps, KEPT_DEPTH, DEEPEST)) - depth
+        return moved_on(search, proven, jnp.clip(there.halvings, 1, jnp.maximum(most, 1)), found), known
 
     return check_next_interval
 
@@ -146,10 +145,3 @@ def _in_tube(scene: Scene, tube: Tube, forwards: Vector3, x: Joints, sweep: Join
 def _off_line(tube: Tube, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
     start, end = (jnp.broadcast_to(point, points.shape) for point in (tube.start, tube.end))
     return capsule_point_distance(start, end, 0.0, points)
-
-
-def next_interval(index, depth):
-    """Return index and depth of the longest interval that begins where interval `index` of length 2^-depth ends."""
-    index = index + 1
-    up = jnp.minimum(jax.lax.population_count((index & -index) - 1), depth)
-    return index >> up, depth - up
