@@ -33,7 +33,7 @@ class Interval(NamedTuple):
     middle: Scalar  # lower bound on D at the interval's middle [m]
     clear: Scalar  # lower bound on D on the complete interval [m]: the required clearance if no share of D is kept
     proven: Bool[Array, ""]  # True: `clear` is at least the required clearance
-    halvings: Int[Array, ""]  # estimate: an interval that is not proven must be halved so often, 1 to MOST_HALVINGS
+    halvings: Int[Array, ""]  # number of halvings that divide an interval that is not proven
 
 
 def on_interval(
@@ -85,7 +85,8 @@ def on_interval(
             halvings = jnp.maximum(halvings, 1 + sum(each.astype(int) for each in too_far))
             clear.append(jnp.minimum(by_travel, own.distance))
     clear = jnp.min(jnp.concatenate(clear))
-    return Interval(middle, jnp.where(kept > 0, clear, least), clear >= wanted.least, halvings), known
+    recorded = jnp.where(kept > 0, clear, least)
+    return Interval(middle, recorded, clear >= wanted.least, jnp.where(kept > 0, 1, halvings)), known
 
 
 def _left(own: MeasuredRows, travel: Float[Array, "R"], turn: Float[Array, "R"]) -> Float[Array, "R"]:

@@ -3,8 +3,8 @@
 The proof is by bisection. An interval of the path is proven if every body's free radius at the middle is larger than
 the motion of the body's points within the interval, relative to the obstacle, and the TCP can neither leave the tube
 nor reverse. It is refuted if the middle itself is in collision, outside the tube, or moving backwards. Otherwise it is
-divided into two, four or eight equal parts, as many as the ratio of motion to free radius suggests. There are three
-results: proven, refuted at a place, and undecided at the finest subdivision.
+halved or, if the proven clearance is not recorded, divided into up to eight equal parts, as many as the ratio of motion
+to free radius suggests. There are three results: proven, refuted at a place, and undecided at the finest subdivision.
 
 The TCP p(s) is bounded to second order. With |p''| <= A on an interval of half-width h about m,
 
@@ -121,8 +121,8 @@ def query_on(
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
-        most = jnp.minimum(deepest, jnp.where(keeps, KEPT_DEPTH, DEEPEST)) - depth
-        return moved_on(search, proven, jnp.clip(there.halvings, 1, jnp.maximum(most, 1)), found), known
+        halvings = jnp.clip(there.halvings, 1, jnp.maximum(deepest - depth, 1))
+        return moved_on(search, proven, halvings, found), known
 
     return check_next_interval
 
