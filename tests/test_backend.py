@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -11,14 +12,18 @@ import jax.numpy as jnp
 import made_once
 import numpy as np
 import pytest
+import toy
 
 from htcp_jax.backend import Backend, backend, compiled_for
 from htcp_jax.device import Executor
 from htcp_jax.device.executor import ExecutableCache
 from htcp_jax.device.lane_function import STEP, LaneFunction
+from htcp_jax.device.tables import pad
 from htcp_jax.model.scenario import stack
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.numerics import fold_keys
+from htcp_jax.planning import methods
+from htcp_jax.reachability import reachable_prefixes
 from htcp_jax.settings import Settings
 
 CPU, GPU = Backend.of("cpu"), Backend.of("gpu")
@@ -75,6 +80,30 @@ def test_a_function_compiled_for_a_gpu_takes_the_gpus_branch_and_one_for_a_cpu_t
     with compiled_for(GPU):
         executables.get(lane_function, Settings(), jax.devices("cpu")[0], (np.zeros(1),))
     assert SEEN == [GPU, CPU]
+
+
+def test_what_starts_searches_and_bounds_run_can_be_traced_for_a_gpu(monkeypatch):
+    """Trace the lane functions of all methods and, as they are called, of starts, transfers, dead ends and bounds."""
+    called, call = {}, Executor.__call__
+
+    def noted(self, lane_function, *tables):
+        called.setdefault(lane_function.name, (self, lane_function, *tables))
+        return call(self, lane_function, *tables)
+
+    monkeypatch.setattr(Executor, "__call__", noted)
+    settings = replace(toy.SETTINGS, transfers=True)
+    toy.planned([replace(toy.scenario(), auto_start=np.array(True)), toy.scenarios()[3]], settings=settings)
+    reachable_prefixes(toy.robot(), toy.workpiece(), stack([toy.scenario()]), toy.SETTINGS, resolution_rad=0.9)
+    problem = toy.problem()
+    warm_ups = [each.warm_up(problem) for each in methods.BUILT_IN]
+    planned = [(problem.checkers[0].executor, *each) for own in warm_ups for each in (*own.first, *own.hard)]
+    for executor, lane_function, *tables in (*called.values(), *planned):
+        size, scene = lane_function.sizes.gpu, executor._for_either if lane_function.any_cone else executor._scene
+        padded = jax.tree.map(lambda rows, size=size: pad(np.asarray(rows)[:1], size.capacity, size.width), tables)
+        with compiled_for(Backend("gpu", has_kernels=True, interprets=True)):
+            traced = lane_function.jitted(settings, mock.Mock(spec=jax.Device, platform="gpu"))
+            assert jax.tree.leaves(jax.eval_shape(traced, scene, np.int32(1), *padded))
+    assert {"may_be_valid", "settle", "self_motion", "push", "prove", "tool"} <= set(called)
 
 
 def test_a_lane_function_gets_the_scene_with_the_lanes_own_tool():

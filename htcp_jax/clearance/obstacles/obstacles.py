@@ -134,12 +134,18 @@ def is_clear(
 
 
 @one_by_one
-def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, margin):
-    limit, found = margin + DECIDED_M, jnp.full((), jnp.inf)
-    capsules = replace(robot, pieces=None)  # a mesh is not nearer than its capsules
+def _any_below(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit: Scalar) -> Scalar:
+    found = jnp.full((), jnp.inf)
     for each in obstacles:
-        measure = lambda each=each: each.any_below(capsules, where, bodies, limit)  # noqa: E731
+        measure = lambda each=each: each.any_below(robot, where, bodies, limit)  # noqa: E731
         found = jax.lax.cond(found < limit, lambda found=found: found, measure)
+    return found
+
+
+@one_by_one
+def _is_clear_alone(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, margin):
+    limit = margin + DECIDED_M
+    found = _any_below(obstacles, replace(robot, pieces=None), where, bodies, limit)  # a mesh is not nearer
     is_refuted = (found <= margin - DECIDED_M) & (robot.pieces is None)
     exact = lambda: _smallest_of(robot, obstacles, where, bodies) > margin  # noqa: E731
     return jax.lax.cond((found < limit) & ~is_refuted, exact, lambda: found >= limit)
@@ -153,18 +159,10 @@ def surely_collides(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose,
     core radius, within which the bodies certainly lie around.
     """
     bodies = bodies_at(robot, where, kinematics.checked_configuration(robot, x))
-    core = replace(robot, capsule_radius=robots.core_radius(robot), pieces=None)
-    return _touches((obstacles, core, where), bodies)
-
-
-@one_by_one
-def _touches(shared, bodies: BodyAxes):
-    obstacles, robot, where = shared
-    found, limit = jnp.full((), jnp.inf), jnp.full((), -DECIDED_M)
-    for each in obstacles:
-        measure = lambda each=each: each.any_below(robot, where, bodies, limit)  # noqa: E731
-        found = jax.lax.cond(found < limit, lambda found=found: found, measure)
-    return found < limit
+    core, limit = replace(robot, capsule_radius=robots.core_radius(robot), pieces=None), jnp.full((), -DECIDED_M)
+    if backend().is_cpu:
+        return _any_below(obstacles, core, where, bodies, limit) < limit
+    return _together(jnp.minimum, [each.any_below(core, where, bodies, limit) for each in obstacles]) < limit
 
 
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:
