@@ -68,7 +68,7 @@ def on_interval(
     bodies, moves = bodies_at(robot, where, x), body_sweep(robot, x, sweep)
     rows = [each.rows(robot) for each in obstacles]
     travels = [moves.travel if own.other is None else pair_travel_bound(robot, own, x, sweep) for own in rows]
-    turns = [piece_turn_bound(robot, own, sweep.of_joints(robot).turns) for own in rows]
+    turns = [piece_turn_bound(robot, own, sweep) for own in rows]
     free_radius, known = free_radii(robot, obstacles, where, x, bodies, travels, turns, least, kept > 0, known)
     middle = jnp.min(jnp.concatenate([own.distance for own in free_radius]))
     good = jnp.maximum(kept * middle, least)
@@ -120,7 +120,7 @@ def _closer(
     return jnp.where(needed, by_sweep, by_travel)
 
 
-def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> Float[Array, "R"]:
+def piece_turn_bound(robot: Robot, rows: RowPairs, sweep: JointSweep) -> Float[Array, "R"]:
     """Return bounds on the displacement that rotation adds to points of the rows' pieces [m].
 
     A capsule is symmetric about its axis, so that the ends of its axis bound its motion. A piece is not symmetric: its
@@ -130,13 +130,13 @@ def piece_turn_bound(robot: Robot, rows: RowPairs, turns: Float[Array, "J"]) -> 
     Args:
         robot: The robot.
         rows: Both sides of each row; displacements are relative to the other side's link.
-        turns: Largest distance of every joint q from the middle [rad or m].
+        sweep: The joints' motion about the interval's middle.
     """
     if robot.pieces is None:
         return jnp.zeros(len(rows.body))
     hinge, body = ~jnp.asarray(robot.slides), rows.body
     moves = jnp.asarray(moved_by(robot.parents))
     between = hinge[None] & (moves[rows.links(robot)] ^ moves[jnp.asarray(rows.others)])
-    angle = jnp.sum(jnp.where(between, turns[None], 0.0), axis=1)
+    angle = jnp.sum(jnp.where(between, sweep.of_joints(robot).turns[None], 0.0), axis=1)
     reach = jnp.where(robot.pieces.excess_m > 0, robot.capsule_radius + OUTSIDE_M, 0.0)[body]
     return reach * jnp.minimum(angle, 2.0)

@@ -35,6 +35,7 @@ from htcp_jax.types import Array, Bool, Float, Int, Joints, Scalar, Vector3
 
 RESOLUTION_M = 1e-5  # penetration that `path_clear` may miss, as proofs of grazing paths take many halvings
 KEPT_DEPTH = 6  # maximum number of halvings to increase the proven clearance
+HALVED_DEPTH = 6  # from here on intervals are only halved: a contact is found at a middle, and halving has more of them
 DEEPEST = 30  # maximum number of halvings; on the shortest interval a joint moves by less than 1e-8 rad
 
 
@@ -121,7 +122,8 @@ def query_on(
             proof.queries + 1,
             jnp.maximum(proof.depth, depth.astype(jnp.int32)),
         )
-        halvings = jnp.clip(there.halvings, 1, jnp.maximum(deepest - depth, 1))
+        most = jnp.where(depth < HALVED_DEPTH, jnp.maximum(deepest - depth, 1), 1)
+        halvings = jnp.minimum(there.halvings, most)
         return moved_on(search, proven, halvings, found), known
 
     return check_next_interval
