@@ -84,6 +84,19 @@ def test_a_wall_is_as_far_away_as_the_piece(tmp_path, is_mesh):
     assert scene.between(X[None], np.array([0]), known, 0.05)[1] == pytest.approx(apart)
 
 
+def test_between_targets_a_piece_is_measured_where_the_plan_recorded_more_than_its_capsule_has(tmp_path):
+    """Regression: a plan was refuted where a capsule is as near as at the nearest target, and its piece is far away."""
+    arm = MujocoArm(arm_file(tmp_path))
+    point = beside(arm, X, 0.08)[None]
+    scene = CheckedScene(arm, Wall(point, "none"), np.eye(3), np.zeros(3), 0.0)
+    known = scene.at(np.stack([X, X]))
+    capsule, piece = 0.08 - 0.05, 0.08 - HALF_M - THICK_M
+    assert known.clearance == pytest.approx(capsule)
+    below = float(known.clearance.min())
+    between = lambda recorded: scene.between(X[None], np.array([0]), known, below, recorded)[1]  # noqa: E731
+    assert between(capsule - 1e-3) == pytest.approx(capsule) and between(piece - 1e-3) == np.inf
+
+
 def test_a_piece_s_distance_from_a_mesh_less_the_cover_is_what_a_plan_saves(tmp_path):
     """Regression: pieces were measured up to the saved clearance only, and the cover subtracted from that once more."""
     arm = MujocoArm(arm_file(tmp_path))

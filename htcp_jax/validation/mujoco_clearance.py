@@ -132,7 +132,12 @@ class CheckedScene(WallDistances):
         )
 
     def between(
-        self, x: Float[np.ndarray, "n N"], a: Int[np.ndarray, "n"], known: TargetClearances, below: float
+        self,
+        x: Float[np.ndarray, "n N"],
+        a: Int[np.ndarray, "n"],
+        known: TargetClearances,
+        below: float,
+        recorded: float | Float[np.ndarray, "n"] = -np.inf,
     ) -> tuple[ArmPoses, Float[np.ndarray, "n"]]:
         """Return the clearance at configurations between configurations with known results, where it is small.
 
@@ -144,6 +149,7 @@ class CheckedScene(WallDistances):
             a: For each configuration, the row in `known` before it; it lies between the rows a and a + 1.
             known: The known results.
             below: Largest clearance of interest, at least 0 [m].
+            recorded: Clearance recorded there [m]; hulls are measured in capsules that have less.
 
         Returns:
             The TCP and the capsules, and the clearance where it is at most `below`, inf elsewhere [m].
@@ -165,10 +171,11 @@ class CheckedScene(WallDistances):
         surroundings = self.surroundings(x, arm_poses, may)
         clearance = np.minimum(self.measured(x, arm_poses, kept, upper), surroundings.min(axis=1, initial=np.inf))
         clearance = np.minimum(clearance, self.carried_clearance(x, np.minimum(upper, clearance)))
-        doubt = self._in_doubt(clearance, upper)
+        enough = np.maximum(upper, recorded)
+        doubt = self._in_doubt(np.where(clearance <= below, clearance, np.inf), enough)
         if len(doubt):
             some = ArmPoses(*(values[doubt] for values in arm_poses))
-            least = upper[doubt]
+            least = enough[doubt]
             clearance[doubt] = np.minimum(*self._by_hulls(x[doubt], some, surroundings[doubt], least, least))
         proven = [known.outside[b] + each < 0 for b, each in zip((a, a + 1), moved, strict=True)]
         outside = self.ends_outside(ends, (ends @ self.along > self.interior_from) & ~proven[0] & ~proven[1])

@@ -129,7 +129,8 @@ def check(
     sampled = track.claimed[paths.target] if only_claimed else np.ones(len(paths.target), bool)
     least_m = _segment_margins(track, len(targets), begins)
     least = max(0.0, float(at.clearance.min()), float(least_m.max()))
-    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, follows, least, progress)
+    recorded_m = np.where(track.proven & np.isfinite(track.segment_clearance), track.segment_clearance, -np.inf)
+    between_rows = _check_paths(scene, at, paths, sampled, between, step_rad, follows, least, recorded_m, progress)
     on, record_m = t[t >= on_path], ROUNDING_M if bound and not hulls else RECORD_M
     rows_hold = _check_task_rows(results, arm, track, scene, on, on_path)
     reasons = (
@@ -462,17 +463,20 @@ def _check_paths(
     step_rad: float,
     follows: Bool[np.ndarray, "T"],
     least_m: float,
+    recorded_m: Float[np.ndarray, "T"],
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Return collision, minimum clearance and path deviation of each sampled joint path, as fields of `TrackCheck`.
 
-    A clearance is inf if it is larger than `least_m`. The path deviation is the TCP's distance from its line; it
-    is 0 for targets where `follows` is False: up to the path's first point, and between seams.
+    A clearance is inf if it is larger than `least_m`. Hulls are measured where capsules have less than `recorded_m`.
+    The path deviation is the TCP's distance from its line; it is 0 for targets where `follows` is False: up to the
+    path's first point, and between seams.
     """
     if not between:
         return dict.fromkeys(("touches", "clearance_between", "deviation"))
     count = len(paths.target)
     least, deviation = np.full(count, np.inf), np.zeros(count)
+    recorded = recorded_m[paths.target]
     every_path, every_x = samples_between(paths.a[sampled], paths.b[sampled], between, step_rad)
     via = np.flatnonzero(sampled & np.append(np.diff(paths.target) == 0, np.zeros(min(count, 1), bool)))
     every_path = np.concatenate([np.flatnonzero(sampled)[every_path], via])
@@ -480,7 +484,7 @@ def _check_paths(
     for first in range(0, len(every_path), SAMPLES):
         progress(first / len(every_path))
         path, x = every_path[first : first + SAMPLES], every_x[first : first + SAMPLES]
-        arm_poses, clearance = scene.between(x, paths.row[path], at, least_m)
+        arm_poses, clearance = scene.between(x, paths.row[path], at, least_m, recorded[path])
         np.minimum.at(least, path, clearance)
         off = np.where(
             follows[paths.target[path]], from_line(arm_poses.tcp, paths.line_a[path], paths.line_b[path]), 0.0
