@@ -77,9 +77,8 @@ def _share_chunks(slots: ChunkSlots, capacity: int) -> ChunkSlots:
     takes = free & (nth_free < jnp.sum(gives, dtype=jnp.int32))
     giver = jnp.nonzero(gives, size=len(row), fill_value=0)[0][jnp.where(takes, nth_free, 0)]
     # The longest part of a divided interval that ends where the chunk ends and is not longer than the rest.
-    deepest = bisection.WHOLE_DEPTH - (63 - jax.lax.clz(jnp.maximum(rest, 1)))
-    parts = search.levels & -(1 << deepest)
-    depth = jax.lax.population_count((parts & -parts) - 1)
+    of_rest = bisection.WHOLE_DEPTH - (63 - jax.lax.clz(jnp.maximum(rest, 1)))
+    depth = bisection.longest_part(search.levels, of_rest)
     start = search.end - (bisection.WHOLE >> depth)
     new = bisection.initial_state()._replace(
         index=start[giver] >> (bisection.WHOLE_DEPTH - depth[giver]),

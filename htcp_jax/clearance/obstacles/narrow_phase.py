@@ -204,7 +204,7 @@ def decide_together(
     where: HasWorkpiecePose,
     bodies: BodyAxes,
     needed: Sequence[Bool[Array, ""]] | None = None,
-    most: Sequence[Float[Array, "_"]] | None = None,
+    limits: Sequence[Float[Array, "_"]] | None = None,
 ) -> Obstacles:
     """Return the obstacles for queries at one configuration.
 
@@ -217,12 +217,12 @@ def decide_together(
         where: A scenario, or another `HasWorkpiecePose`.
         bodies: The bodies.
         needed: True for obstacles that will be queried; None: all.
-        most: For each row of each obstacle, a larger limit than `limit_m` [m]; None: `limit_m`.
+        limits: For each row of each obstacle, a larger limit than `limit_m` [m]; None: `limit_m`.
     """
     in_pairs = [] if robot.pieces is None else [k for k, each in enumerate(obstacles) if each.in_pairs]
     if not in_pairs:
         return obstacles
-    limits = [limit_m(where)] * len(obstacles) if most is None else most
+    limits = [limit_m(where)] * len(obstacles) if limits is None else limits
     look = [lambda each=obstacles[k], limit=limits[k]: each.doubts(robot, bodies, limit) for k in in_pairs]
     if needed is None:
         doubts = [own() for own in look]

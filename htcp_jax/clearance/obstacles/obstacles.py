@@ -129,12 +129,20 @@ def is_clear(
         return _is_clear_alone(obstacles, robot, where, bodies, margin)
     if robot.pieces is not None:
         return _smallest_of(robot, obstacles, where, bodies) > margin
-    limit = margin + DECIDED_M
-    return _together(jnp.minimum, [each.any_below(robot, where, bodies, limit) for each in obstacles]) > margin
+    return _any_below(obstacles, robot, where, bodies, margin + DECIDED_M) > margin
+
+
+def _any_below(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit: Scalar) -> Scalar:
+    """Return a distance below the limit [m], see `Obstacle.any_below`."""
+    if backend().is_cpu:
+        return _first_below(obstacles, robot, where, bodies, limit)
+    return _together(jnp.minimum, [each.any_below(robot, where, bodies, limit) for each in obstacles])
 
 
 @one_by_one
-def _any_below(obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit: Scalar) -> Scalar:
+def _first_below(
+    obstacles: Obstacles, robot: Robot, where: HasWorkpiecePose, bodies: BodyAxes, limit: Scalar
+) -> Scalar:
     found = jnp.full((), jnp.inf)
     for each in obstacles:
         measure = lambda each=each: each.any_below(robot, where, bodies, limit)  # noqa: E731
@@ -160,9 +168,7 @@ def surely_collides(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose,
     """
     bodies = bodies_at(robot, where, kinematics.checked_configuration(robot, x))
     core, limit = replace(robot, capsule_radius=robots.core_radius(robot), pieces=None), jnp.full((), -DECIDED_M)
-    if backend().is_cpu:
-        return _any_below(obstacles, core, where, bodies, limit) < limit
-    return _together(jnp.minimum, [each.any_below(core, where, bodies, limit) for each in obstacles]) < limit
+    return _any_below(obstacles, core, where, bodies, limit) < limit
 
 
 def free_radius(robot: Robot, obstacles: Obstacles, where: HasWorkpiecePose, x: Joints) -> Float[jax.Array, "R"]:

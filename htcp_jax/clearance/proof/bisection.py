@@ -82,12 +82,21 @@ def moved_on(search: Bisection, proven: Bool[Array, ""], halvings: Int[ArrayLike
     """
     index, depth, levels, end, _ = search
     following = index + 1
-    up = jnp.minimum(jax.lax.population_count((following & -following) - 1), depth)
-    longest = levels & -(1 << (depth - up))  # lengths of the parts that may begin where the interval ends
-    part = jax.lax.population_count((longest & -longest) - 1)
+    up = jnp.minimum(lowest_bit(following), depth)
+    part = longest_part(levels, depth - up)
     after = following >> (depth - part), part, levels & ((2 << part) - 1)
     within = index << halvings, depth + halvings, levels | (1 << (depth + halvings))
     return Bisection(*jax.tree.map(partial(jnp.where, proven), after, within), end, proof)
+
+
+def longest_part(levels: Int[Array, "*n"], depth: Int[Array, "*n"]) -> Int[Array, "*n"]:
+    """Return the depth of the longest part in `Bisection.levels` that is not longer than an interval of a depth."""
+    return lowest_bit(levels & -(1 << depth))
+
+
+def lowest_bit(number: Int[Array, "*n"]) -> Int[Array, "*n"]:
+    """Return the place of the lowest bit that is 1."""
+    return jax.lax.population_count((number & -number) - 1)
 
 
 def proven_result(proof: Proof) -> Proof:

@@ -96,8 +96,8 @@ def free_radii(
         known: What is known of the same scenario; None: all rows are measured.
     """
     if known is None:
-        most = _most(where, travels, turns, jnp.where(is_recorded, jnp.inf, least))
-        own = narrow_phase.decide_together(robot, obstacles, where, bodies, most=most)
+        limits = _limits(where, travels, turns, jnp.where(is_recorded, jnp.inf, least))
+        own = narrow_phase.decide_together(robot, obstacles, where, bodies, limits=limits)
         return [_rows_of(robot, where, each, each.free_radius(robot, where, bodies)) for each in own], None
     ends, starts = _relative_ends(robot, _rows(robot, obstacles), x, bodies), np.cumsum([0, *map(len, travels)])
     bounds = _bounds(robot, where, known, ends)
@@ -107,8 +107,10 @@ def free_radii(
     for numbers in (exact, others):
         needed = jnp.maximum(jnp.where(is_recorded, smallest, ROUNDING_M), jnp.maximum(least, ROUNDING_M))
         enough = [_enough(robot, where, lower[k], travels[k], needed) for k in numbers]
-        most = _most(where, travels, turns, needed)
-        measured = _measured(robot, [obstacles[k] for k in numbers], where, bodies, enough, [most[k] for k in numbers])
+        limits = _limits(where, travels, turns, needed)
+        measured = _measured(
+            robot, [obstacles[k] for k in numbers], where, bodies, enough, [limits[k] for k in numbers]
+        )
         seen |= dict(zip(numbers, measured, strict=True))
         smallest = _smallest([jnp.maximum(seen[k].distance, lower[k]) for k in exact])
     measured = jnp.concatenate([seen[k].distance for k in range(len(obstacles))])
@@ -132,7 +134,7 @@ def _enough(
     return jnp.where(lower - travel < least, enough, -jnp.inf)
 
 
-def _most(where: HasWorkpiecePose, travels: Rows, turns: Rows, least: Scalar) -> Rows:
+def _limits(where: HasWorkpiecePose, travels: Rows, turns: Rows, least: Scalar) -> Rows:
     """Return the distances up to which pieces may decide the interval [m]."""
     limit = narrow_phase.limit_m(where)
     least = jnp.minimum(least, limit)
@@ -145,11 +147,11 @@ def _measured(
     where: HasWorkpiecePose,
     bodies: BodyAxes,
     enough: Rows,
-    most: Rows,
+    limits: Rows,
 ) -> list[MeasuredRows]:
     """Return the rows of some obstacles, with free radii up to `enough` and -inf for obstacles that are not needed."""
     needed = [jnp.any(own > -jnp.inf) for own in enough]
-    queries = narrow_phase.decide_together(robot, tuple(obstacles), where, bodies, needed, most)
+    queries = narrow_phase.decide_together(robot, tuple(obstacles), where, bodies, needed, limits)
     return [
         jax.lax.cond(
             is_needed,
