@@ -9,7 +9,8 @@ Before the path and between seams, the arm should have the clearance `Scenario.t
 `RequiredMargins`. A segment that is clear with less is a motion, too: its status is REDUCED_MARGIN.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +22,12 @@ from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import lane_inputs
 from htcp_jax.motion.plans import Plans
 from htcp_jax.motion.problem import Problem
+from htcp_jax.motion.raised_bounds import Proving, raise_smallest, raised, together
 from htcp_jax.motion.segment_tubes import segment_margins
 from htcp_jax.status import MOTION, SegmentStatus
 
 KEPT = 0.5  # share of the clearance that must be proven on a segment
 TIGHT = 0.99  # this share for segments whose bound is tightened, see `tighten`
-PARTS, CUTS = 8, 24  # number of parts of a path that are proven in its place, and how often, see `raised`
-GAIN, RAISED = 1.02, 20  # factor by which a bound must rise, or no further one is raised; maximum number of bounds
 ROWS_AT_ONCE = 16  # rows of a scenario that are verified at a time; rows after the end of a motion need no proof
 
 
@@ -145,84 +145,57 @@ def verify_transfers(problem: Problem, plans: Plans) -> Plans:
     return plans
 
 
-def clearance_along(
-    problem: Problem, x: Float[np.ndarray, "k N"], scenario: int = 0, enough_m: float = np.inf
-) -> Float[np.ndarray, "k-1"]:
+def clearance_along(problem: Problem, x: Float[np.ndarray, "k N"]) -> Float[np.ndarray, "k-1"]:
     """Return lower bounds on D along the straight joint paths between consecutive configurations; NaN if not proven.
 
-    The smallest bound is as tight as those of `tighten`, and raised, see `raise_smallest`.
+    The smallest bound is as tight as those of `tighten`, and raised, see `raised_bounds`.
 
     Args:
-        problem: The problem.
+        problem: The problem, with one scenario.
         x: The configurations, off the path [rad or m].
-        scenario: Row of the scenario.
-        enough_m: Bound above which none is raised [m].
+    """
+    return together([_bounds_along(x)], partial(_clearances, problem))[0]
+
+
+def _bounds_along(
+    x: Float[np.ndarray, "k N"], scenario: int = 0, enough_m: float = np.inf
+) -> Proving[Float[np.ndarray, "k-1"]]:
+    """Return the bounds of `clearance_along` in a scenario; none is raised above `enough_m` [m].
+
+    Yields:
+        Joint paths, and the share of their clearance that must be proven.
     """
 
     def between(a: Float[np.ndarray, "n N"], b: Float[np.ndarray, "n N"]) -> StraightPaths:
         rows = np.full(len(a), scenario)
         return StraightPaths(rows, np.zeros_like(rows), a, b, np.ones(len(a), bool))
 
-    paths = between(x[:-1], x[1:])
-    proofs = _proofs(problem, paths)
-    found = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
-    loose = found < np.nanmin(found, initial=np.inf) / KEPT
-    if loose.any():
-        found[loose] = np.fmax(found[loose], _proofs(problem, tables.gather(paths, loose), TIGHT).clearance)
-
-    def more(k: int) -> float:
+    def more(k: int) -> Proving[float]:
         def parts(begin, end):
-            a, b = (x[k] + share[:, None] * (x[k + 1] - x[k]) for share in (begin, end))
-            proofs = _proofs(problem, between(a, b), TIGHT)
-            return np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
+            return between(*(x[k] + share[:, None] * (x[k + 1] - x[k]) for share in (begin, end))), TIGHT
 
         return raised(parts, found[k], enough_m)
 
-    raise_smallest(found, more, enough_m)
+    paths = between(x[:-1], x[1:])
+    found = yield paths, KEPT
+    loose = found < np.nanmin(found, initial=np.inf) / KEPT
+    if loose.any():
+        found[loose] = np.fmax(found[loose], (yield tables.gather(paths, loose), TIGHT))
+    yield from raise_smallest(found, more, enough_m)
     return found
 
 
-def raise_smallest(clearance: Float[np.ndarray, "n"], more: Callable[[int], float], enough_m: float = np.inf) -> None:
-    """Raise the smallest of several lower bounds in place [m], then the next one, while they rise by the factor GAIN.
-
-    Args:
-        clearance: The bounds; NaN where nothing is proven.
-        more: Function that returns a larger bound in place of the one at an index.
-        enough_m: Bound above which none is raised [m].
-    """
-    for _ in range(RAISED if np.isfinite(clearance).any() else 0):
-        k = int(np.nanargmin(clearance))
-        if clearance[k] >= enough_m or not (found := more(k)) > GAIN * clearance[k]:
-            break
-        clearance[k] = found
-
-
-def raised(
-    prove: Callable[[Float[np.ndarray, "p"], Float[np.ndarray, "p"]], Float[np.ndarray, "p"]],
-    clearance_m: float,
-    enough_m: float = np.inf,
-) -> float:
-    """Return a larger lower bound on the clearance of a joint path, from proofs of its parts [m].
-
-    The proof of a long path halves an interval only a few times to raise its bound. Here the part with the smallest
-    bound is cut and proven again, at most CUTS times.
-
-    Args:
-        prove: Function that returns the proven clearances of parts, given the shares of the path at which they begin
-            and end; NaN where a part is not proven.
-        clearance_m: The bound so far, which holds for all parts.
-        enough_m: Bound above which no part is cut [m].
-    """
-    begin, end, clearance = np.zeros(1), np.ones(1), np.array([clearance_m])
-    for _ in range(CUTS):
-        k = int(clearance.argmin())
-        if clearance[k] >= enough_m:
-            break
-        edges = np.linspace(begin[k], end[k], PARTS + 1)
-        found = np.fmax(prove(edges[:-1], edges[1:]), clearance[k])
-        parts = (begin, edges[:-1]), (end, edges[1:]), (clearance, found)
-        begin, end, clearance = (np.concatenate([np.delete(old, k), new]) for old, new in parts)
-    return float(clearance.min())
+def _clearances(problem: Problem, asked: Sequence[tuple[StraightPaths, float]]) -> list[Float[np.ndarray, "_"]]:
+    """Return the proven clearances of joint paths, from `_bounds_along` [m]; NaN where a path is not proven."""
+    found: list = [None] * len(asked)
+    for kept in {kept for _, kept in asked}:
+        rows = [k for k, (_, own) in enumerate(asked) if own == kept]
+        proofs = _proofs(problem, tables.concatenate([asked[k][0] for k in rows]), kept)
+        clearance = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
+        ends = np.cumsum([len(asked[k][0].target) for k in rows])
+        for k, own in zip(rows, np.split(clearance, ends[:-1]), strict=True):
+            found[k] = own
+    return found
 
 
 def tighten(problem: Problem, plans: Plans, here: Bool[np.ndarray, "T"] | None = None) -> Plans:
@@ -263,15 +236,16 @@ def raise_air_moves(problem: Problem, plans: Plans) -> Plans:
     off_path = problem.off_path(*np.indices(plans.executable.shape))
     known = np.where(plans.executable, plans.segment_clearance, np.nan)
     fixed = np.fmin(np.where(off_path, np.inf, known), TIGHT * np.where(plans.executable, plans.clearance, np.inf))
-    for s, enough_m in enumerate(np.fmin.reduce(fixed, axis=1).tolist()):
 
-        def more(t: int, s: int = s, enough_m: float = enough_m) -> float:
-            here = np.zeros_like(off_path)
-            here[s, t] = True
-            paths = segments_of(plans, here)
-            return clearance_along(problem, np.concatenate([paths.a[:1], paths.b]), s, enough_m).min()
+    def raise_scenario(s: int, enough_m: float) -> Proving[None]:
+        def more(t: int) -> Proving[float]:
+            x = np.vstack([plans.before(s, t), plans.via_points.on_segment(s, t), plans.x[s, t]])
+            return (yield from _bounds_along(x, s, enough_m)).min()
 
-        raise_smallest(known[s], more, enough_m)
+        return raise_smallest(known[s], more, enough_m)
+
+    enough = np.fmin.reduce(fixed, axis=1).tolist()
+    together([raise_scenario(s, enough_m) for s, enough_m in enumerate(enough)], partial(_clearances, problem))
     return plans._replace(segment_clearance=np.fmax(plans.segment_clearance, known))
 
 

@@ -16,7 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.device import tables
+from htcp_jax.device import devices, processes, tables
+from htcp_jax.model.task import TaskLinear
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import RequiredMargins, StraightPaths, prove_segments
@@ -31,6 +32,8 @@ TRUST = 0.2  # maximum step of a joint per round [rad or m]
 NEIGHBOURS = 4  # number of configurations next to a fixed one over which steps increase to their full length
 GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW consecutive rounds that save less than GAIN
 TOGETHER = 64  # paths per thread that are smoothed at a time; the linearisation of a path takes a third of a megabyte
+TOGETHER_ON_GPU = 1024  # the same on a GPU, where few lanes take as long as many
+FEW_QPS = 16  # QPs that are solved in less time than it takes to send them to other processes
 GRAZES = 64  # maximum number of clearance queries per proof; a segment that needs more is too close to an obstacle
 
 
@@ -124,12 +127,16 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """
     ends = plans.outcomes  # computed once for all scenarios
     going = np.flatnonzero(ends.executable).tolist()
+    workers = 1
+    if not problem.checkers[0].executor.pays_by_lane:
+        workers = processes.profitable_count(devices.cores(), len(going), int(ends.executable.sum()))
     paths, margins = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going], RequiredMargins(problem, plans, True)
 
     def work(checker: CollisionChecker, share: slice) -> None:
-        smoothing, mine = Smoothing(problem, checker, margins), paths[share]
-        for first in range(0, len(mine), TOGETHER):
-            smoothing.run(mine[first : first + TOGETHER])
+        smoothing, mine = Smoothing(problem, checker, margins, workers), paths[share]
+        most = TOGETHER if checker.executor.pays_by_lane else TOGETHER_ON_GPU
+        for first in range(0, len(mine), most):
+            smoothing.run(mine[first : first + most])
 
     problem.progress(0, len(problem.to_plan) - len(paths))
     problem.in_threads(work)
@@ -137,10 +144,17 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
 
 
 class Smoothing:
-    """Smoothing of several paths together, round by round."""
+    """Smoothing of several paths together, round by round.
 
-    def __init__(self, problem: Problem, checker: CollisionChecker, margins: RequiredMargins):
-        self._problem, self._checker, self._margins = problem, checker, margins
+    Args:
+        problem: The problem.
+        checker: Collision checker of a device.
+        margins: The required margins.
+        workers: Number of processes that solve the QPs.
+    """
+
+    def __init__(self, problem: Problem, checker: CollisionChecker, margins: RequiredMargins, workers: int = 1):
+        self._problem, self._checker, self._margins, self._workers = problem, checker, margins, workers
         settings, joints = problem.settings, problem.scenarios.x_start.shape[1]
         self._lower, self._upper = np.asarray(problem.robot.lower), np.asarray(problem.robot.upper)
         self._weights = np.ones(joints) if settings.path_weights is None else np.array(settings.path_weights)
@@ -176,7 +190,10 @@ class Smoothing:
 
     def _round(self, paths: list[SmoothedPath]) -> None:
         """Solve one QP per path, and apply the part of its step that is accepted."""
-        tries = [(path, self._step(path), np.ones(len(path.target)), Candidate.standing(path)) for path in paths]
+        tries = [
+            (path, y, np.ones(len(path.target)), Candidate.standing(path))
+            for path, y in zip(paths, self._steps(paths), strict=True)
+        ]
         for attempt in range(3):
             again, steps = [], [(path, share[:, None] * y, last) for path, y, share, last in tries]
             for (path, y, share, _), candidate in zip(tries, self._candidates(steps), strict=True):
@@ -193,24 +210,46 @@ class Smoothing:
             if not (tries := again):
                 return
 
-    def _step(self, path: SmoothedPath) -> Float[np.ndarray, "P N"]:
-        """Return the step that the QP about the path's current iterate yields [rad or m]."""
+    def _steps(self, paths: list[SmoothedPath]) -> list[Float[np.ndarray, "P N"]]:
+        """Return, per path, the step that the QP about its current iterate yields [rad or m]."""
+        steps = self._solve([self._qp(path, rows) for path, rows in zip(paths, self._task_rows(paths), strict=True)])
+        if not self._problem.robot.indexed:
+            return steps
+        return [np.where(self._still(path), 0.0, y) for path, y in zip(paths, steps, strict=True)]
+
+    def _solve(self, qps: list[PathQP]) -> list[Float[np.ndarray, "P N"]]:
+        """Return the QPs' solutions; this process solves few of them itself."""
+        if self._workers == 1 or len(qps) < FEW_QPS:
+            return _solutions(None, qps)
+        rows = processes.shares(len(qps), self._workers)
+        parts = [[qps[k] for k in own.tolist()] for own in rows]
+        spread = processes.spread([processes.ON_CPU] * self._workers, _solutions, processes.portable(), parts, None)
+        order = np.argsort(np.concatenate(rows)).tolist()
+        found = [y for part in spread.results for y in part]
+        return [found[k] for k in order]
+
+    def _qp(self, path: SmoothedPath, task_rows: TaskLinear) -> PathQP:
+        """Return the QP about a path's current iterate.
+
+        Bands and cones of the task are added to the clearance rows at configurations at which the task is required, and
+        half way to configurations after the path's first point.
+        """
         rows = path.seen.linear.clearance
-        left = np.maximum(rows.distance - self._aims(path)[..., None], 0.0)
-        A, G, left = self._task_limits(path, -rows.gradient, left)
+        G, left = -rows.gradient, np.maximum(rows.distance - self._aims(path)[..., None], 0.0)
+        if not self._problem.task.is_points:
+            requested = np.stack([path.constrained, path.target > path.on_path], axis=1)
+            slack = np.where(requested[:, :, None], np.maximum(task_rows.slack, 0.0), np.inf)
+            G, left = np.concatenate([G, -task_rows.gradient], 2), np.concatenate([left, slack], 2)
         radius, x = path.radius[:, None], path.x[1:]
         lower = np.clip(self._lower - x, -radius, 0.0)
         upper = np.clip(self._upper - x, 0.0, radius)
         if self._problem.robot.indexed:
             still = self._still(path)
             lower, upper = np.where(still, 0.0, lower), np.where(still, 0.0, upper)
-        y = solve_path_qp(
-            PathQP(
-                path.x, self._weights, path.constrained, A, G[:, 0], left[:, 0], G[:, 1], left[:, 1], lower, upper,
-                path.begins_anywhere,
-            )
+        return PathQP(
+            path.x, self._weights, path.constrained, task_rows.jacobian[:, 0], G[:, 0], left[:, 0], G[:, 1], left[:, 1],
+            lower, upper, path.begins_anywhere,
         )  # fmt: skip
-        return np.where(still, 0.0, y) if self._problem.robot.indexed else y
 
     def _still(self, path: SmoothedPath) -> Bool[np.ndarray, "P N"]:
         """Return True for joints that must not move at configurations: indexed axes, within a seam."""
@@ -228,25 +267,16 @@ class Smoothing:
         before = np.stack([before & (path.is_via_point | (path.target < path.on_path)), before], axis=1)
         return np.where(before & (transfer > 0), np.maximum(own, transfer + above), own)
 
-    def _task_limits(
-        self, path: SmoothedPath, G: np.ndarray, left: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the QP's equations of the task, and its inequality rows extended by the task's bands and cones.
-
-        Bands and cones are added at configurations at which the task is required, and half way to configurations after
-        the path's first point.
-        """
-        task, linear = self._problem.task, path.seen.linear
-        if task.is_points:
-            return linear.task.jacobian[:, 0], G, left
-        count = len(path.target)
-        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs([path]))
-        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), linear)
+    def _task_rows(self, paths: list[SmoothedPath]) -> list[TaskLinear]:
+        """Return, per path, the task's rows at each configuration and half way to it."""
+        if self._problem.task.is_points:
+            return [path.seen.linear.task for path in paths]
+        inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
+        linear = tables.concatenate([path.seen.linear for path in paths])
+        flat = jax.tree.map(lambda table: table.reshape(-1, *table.shape[2:]), linear)
         rows = self._checker.executor.task.own_rows(self._checker.executor(TASK_ROWS, inputs, flat))
-        rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
-        requested = np.stack([path.constrained, path.target > path.on_path], axis=1)
-        slack = np.where(requested[:, :, None], np.maximum(rows.slack, 0.0), np.inf)
-        return rows.jacobian[:, 0], np.concatenate([G, -rows.gradient], 2), np.concatenate([left, slack], 2)
+        rows = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), rows)
+        return [tables.gather(rows, own) for own in _split_by_path(np.arange(len(rows.slack)), paths)]
 
     def _candidates(self, steps: list[tuple[SmoothedPath, np.ndarray, Candidate]]) -> list[Candidate]:
         """Return each path after a step.
@@ -341,6 +371,10 @@ class Smoothing:
     def _inputs(self, paths: list[SmoothedPath]) -> LaneInputs:
         scenario = np.repeat([path.scenario for path in paths], [len(path.target) for path in paths])
         return lane_inputs(self._problem.scenarios, scenario, np.concatenate([path.row for path in paths]))
+
+
+def _solutions(_, qps: list[PathQP]) -> list[Float[np.ndarray, "P N"]]:
+    return [solve_path_qp(qp) for qp in qps]
 
 
 def _is_given_start(problem: Problem, s: int, x: Float[np.ndarray, "P N"]) -> Bool[np.ndarray, "P"]:

@@ -22,7 +22,8 @@ from htcp_jax.clearance import Obstacle
 from htcp_jax.clearance.proof import bisection
 from htcp_jax.device import devices, tables
 from htcp_jax.errors import InputError
-from htcp_jax.motion import CollisionChecker, Problem, motion_check
+from htcp_jax.motion import CollisionChecker, Problem
+from htcp_jax.motion.raised_bounds import Proving, raise_smallest, raised, together
 from htcp_jax.proving.curves import JointCurves, straight
 from htcp_jax.proving.scene import Cell, scene_of
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -195,26 +196,26 @@ def tighten(
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
 
-    def more(k: int) -> float:
+    def more(k: int) -> Proving[float]:
         margin = float(np.max(_margins_at(margin_m, np.array([k]))))
-        return _raised(problem, curves.of_segments(np.array([k])), margin)
+        return _raised(curves.of_segments(np.array([k])), margin)
 
-    motion_check.raise_smallest(clearance, more)
+    def proven(asked: list[tuple[JointCurves, float]]) -> list[Float[np.ndarray, "_"]]:
+        return [prove_curves(problem, own, margin_m=margin, kept=TIGHT).clearance_m for own, margin in asked]
+
+    together([raise_smallest(clearance, more)], proven)
     return replace(found, clearance_m=clearance, queries=queries)
 
 
-def _raised(problem: Problem, curves: JointCurves, margin_m: float) -> float:
-    """Return the clearance that proofs of parts of one segment's paths guarantee [m]."""
+def _raised(curves: JointCurves, margin_m: float) -> Proving[float]:
+    """Return the clearance that proofs of parts of one segment's paths guarantee [m]; yield parts and the margin."""
     own = curves._replace(segment=np.arange(len(curves.segment)))
-    clearance = prove_curves(problem, own, margin_m=margin_m, kept=TIGHT).clearance_m
+    clearance = yield own, margin_m
 
-    def more(j: int) -> float:
-        def parts(begin, end):
-            return prove_curves(problem, own.between(j, begin, end), margin_m=margin_m, kept=TIGHT).clearance_m
+    def more(j: int) -> Proving[float]:
+        return raised(lambda begin, end: (own.between(j, begin, end), margin_m), clearance[j])
 
-        return motion_check.raised(parts, clearance[j])
-
-    motion_check.raise_smallest(clearance, more)
+    yield from raise_smallest(clearance, more)
     return clearance.min()
 
 

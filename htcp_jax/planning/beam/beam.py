@@ -46,7 +46,8 @@ from htcp_jax.planning.tracking.stages import PUSH
 from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
-GPU_THREADS = 4  # on GPUs; more threads wait for each other, as Python runs one at a time
+GPU_THREADS = 4  # maximum on GPUs; more threads wait for each other, as Python runs one at a time
+EACH_PAYS = 1024  # scenarios per thread on GPUs; fewer lanes take as long as many, and the GPU runs one call at a time
 IN_FLIGHT = 4  # the number of scenarios planned together is the number of lanes / IN_FLIGHT
 
 
@@ -77,7 +78,8 @@ class BeamSearchMethod(Method):
         """Plan all scenarios, shared among threads that write into different rows of the plans."""
         plans, threads = problem.empty_plans(), problem.threads
         if not problem.checkers[0].executor.pays_by_lane:
-            threads = max(threads, GPU_THREADS)  # while a GPU computes for one, the others build their tables
+            # while a GPU computes for one thread, the others build their tables
+            threads = max(threads, min(GPU_THREADS, len(problem.to_plan) // EACH_PAYS))
 
         def work(checker: CollisionChecker, share: slice) -> tuple[list[ViaPointRow], dict[tuple[int, int], Tried]]:
             return BeamSearch(problem, plans, checker).run(iter(problem.to_plan[share].tolist()))

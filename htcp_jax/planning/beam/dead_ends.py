@@ -375,7 +375,7 @@ class DeadEnds:
 
     def _arrived(self, ends: list[DeadEnd]) -> list[Float[np.ndarray, "m N"]]:
         """Return, for each dead end, draws that arrive at the target: the clearest ones that are far apart."""
-        problem, drawn = self._problem, [self._drawn(end) for end in ends]
+        problem, drawn = self._problem, self._drawn(ends)
         lane = np.repeat(np.arange(len(ends)), [len(x) for x in drawn])
         scenario, target = (np.array([getattr(end, name) for end in ends])[lane] for name in ("scenario", "target"))
         here = transfers.projected(problem, self._checker, scenario, target, np.concatenate(drawn))
@@ -389,21 +389,31 @@ class DeadEnds:
             draws.work += max(int(count), len(x) // FEW) + len(own) * problem.settings.max_null_space_steps
         return found
 
-    def _drawn(self, end: DeadEnd) -> Float[np.ndarray, "n N"]:
-        """Return random configurations for a dead end [rad or m].
+    def _drawn(self, ends: list[DeadEnd]) -> list[Float[np.ndarray, "n N"]]:
+        """Return random configurations for each dead end [rad or m].
 
         They are uniform within the joint limits, or around the tree's configurations at the target before the lost one.
         """
-        problem, checker, draws = self._problem, self._checker, self._draws[end.scenario]
-        rounds = FIRST_ROUND + draws.rounds + np.arange(ROUNDS if end.anywhere else 1)
-        draws.rounds += len(rounds)
-        if end.anywhere:
-            scenario = np.full(len(rounds), end.scenario)
-            return np.concatenate(transfers.drawn_configurations(problem, checker, scenario, rounds))
+        rounds = {}
+        for end in ends:
+            draws, count = self._draws[end.scenario], ROUNDS if end.anywhere else 1
+            rounds[end.scenario] = FIRST_ROUND + draws.rounds + np.arange(count)
+            draws.rounds += count
+        found = {end.scenario: self._drawn_near(end, *rounds[end.scenario]) for end in ends if not end.anywhere}
+        if len(found) < len(ends):
+            anywhere = [end.scenario for end in ends if end.anywhere]
+            scenario, round_ = np.repeat(anywhere, ROUNDS), np.concatenate([rounds[s] for s in anywhere])
+            x = transfers.drawn_configurations(self._problem, self._checker, scenario, round_)
+            found |= zip(anywhere, x.reshape(len(anywhere), -1, x.shape[2]), strict=True)
+        return [found[end.scenario] for end in ends]
+
+    def _drawn_near(self, end: DeadEnd, round_: int) -> Float[np.ndarray, "n N"]:
+        """Return random configurations around the tree's at the target before the lost one [rad or m]."""
         near = end.tree.x[end.tree.at(end.lost - 1)]
-        rng = np.random.default_rng([problem.settings.seed, int(problem.scenarios.number[end.scenario]), rounds[0]])
+        number = int(self._problem.scenarios.number[end.scenario])
+        rng = np.random.default_rng([self._problem.settings.seed, number, round_])
         drawn = near[rng.integers(len(near), size=transfers.DRAWS)]
-        return np.clip(drawn + NEAR_RAD * rng.standard_normal(drawn.shape), *checker.executor.limits)
+        return np.clip(drawn + NEAR_RAD * rng.standard_normal(drawn.shape), *self._checker.executor.limits)
 
     def _nearest(self, search: int, tree_x: Float[np.ndarray, "n N"]) -> list[tuple[int, np.ndarray, int]]:
         """Return the pairs to join: search, configuration in the tree, tree row of the search's configuration."""
