@@ -372,3 +372,18 @@ def test_the_bound_of_an_air_move_is_raised_until_the_path_decides_the_guarantee
     steps = np.linspace(0, 1, 200)[:, None] * (given.x[s, 0] - given.start[s])
     clearance = toy.measured(toy.scenarios()[s], given.start[s] + steps)[0].min()
     assert min(bound[s, along[s]].min(), 0.97 * clearance) <= raised[s, 0] <= clearance
+
+
+def test_the_bounds_of_air_moves_are_raised_together_as_one_by_one():
+    given, problem = toy.plans_by(), leave_home(toy.problem(threads=1))[0]
+    moved = np.flatnonzero(given.executable[:, 0])
+    assert len(moved) > 1
+
+    def raised(scenarios):
+        bound = given.segment_clearance.copy()
+        bound[scenarios, 0] = 1e-9
+        return raise_air_moves(problem, given._replace(segment_clearance=bound)).segment_clearance[scenarios, 0]
+
+    together = raised(moved)
+    assert (together > 1e-9).all()
+    np.testing.assert_array_equal(together, [raised(s) for s in moved.tolist()])

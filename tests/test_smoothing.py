@@ -1,5 +1,6 @@
 """Smoothing: motions become cheaper in equation (3) and stay motions; nothing else in a plan changes."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 
@@ -174,6 +175,24 @@ def test_what_another_step_has_shown_is_not_computed_again(anywhere):
         flags = np.concatenate([getattr(candidate, each) for candidate in found[0]])
         assert flags.any() and not flags.all()
     assert lanes[1] < 0.9 * lanes[0]
+
+
+def test_the_processes_that_solve_the_qps_have_no_influence(monkeypatch):
+    """Same bits from two threads that share two processes as from one that solves its QPs itself."""
+    monkeypatch.setattr(smoothing, "FEW_QPS", 2)
+    problem = in_duct(poses(), SMOOTH, threads=1)
+    plans = verify_motions(problem, planned())
+    margins = RequiredMargins(problem, plans, reduced=True)
+
+    def run(workers):
+        paths = [smoothing.SmoothedPath.of(problem, plans, plans.outcomes.of(s)) for s in range(3)]
+        smoothing.Smoothing(problem, problem.checkers[0], margins, workers).run(paths)
+        return [path.x for path in paths]
+
+    with ThreadPoolExecutor(2) as pool:
+        shared = list(pool.map(run, [2, 2]))
+    for found in shared:
+        jax.tree.map(np.testing.assert_array_equal, found, run(1))
 
 
 def test_a_smooth_motion_has_next_to_nothing_left_to_gain():

@@ -33,6 +33,7 @@ NEIGHBOURS = 4  # number of configurations next to a fixed one over which steps 
 GAIN, SLOW, MOST_ROUNDS = 2e-3, 3, 40  # a path is done after SLOW consecutive rounds that save less than GAIN
 TOGETHER = 64  # paths per thread that are smoothed at a time; the linearisation of a path takes a third of a megabyte
 TOGETHER_ON_GPU = 1024  # the same on a GPU, where few lanes take as long as many
+GPU_THREADS = 3  # maximum on GPUs: while one thread waits for QPs, the others use the GPU
 FEW_QPS = 16  # QPs that are solved in less time than it takes to send them to other processes
 GRAZES = 64  # maximum number of clearance queries per proof; a segment that needs more is too close to an obstacle
 
@@ -127,19 +128,19 @@ def smooth(problem: Problem, plans: Plans) -> Plans:
     """
     ends = plans.outcomes  # computed once for all scenarios
     going = np.flatnonzero(ends.executable).tolist()
-    workers = 1
+    most, threads, workers = TOGETHER, problem.threads, 1
     if not problem.checkers[0].executor.pays_by_lane:
+        most, threads = TOGETHER_ON_GPU, max(threads, min(GPU_THREADS, len(going) // TOGETHER_ON_GPU))
         workers = processes.profitable_count(devices.cores(), len(going), int(ends.executable.sum()))
     paths, margins = [SmoothedPath.of(problem, plans, ends.of(s)) for s in going], RequiredMargins(problem, plans, True)
 
     def work(checker: CollisionChecker, share: slice) -> None:
         smoothing, mine = Smoothing(problem, checker, margins, workers), paths[share]
-        most = TOGETHER if checker.executor.pays_by_lane else TOGETHER_ON_GPU
         for first in range(0, len(mine), most):
             smoothing.run(mine[first : first + most])
 
     problem.progress(0, len(problem.to_plan) - len(paths))
-    problem.in_threads(work)
+    problem.in_threads(work, threads)
     return _written(problem, plans, paths)
 
 
