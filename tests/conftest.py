@@ -1,6 +1,9 @@
 """Shared fixtures; strict JAX (no implicit promotion of ranks and dtypes), with compiled programs kept between runs."""
 
+import contextlib
+import ctypes
 import gc
+import os
 import shutil
 import signal
 import warnings
@@ -17,7 +20,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 cache_folder.enable()
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, which default thresholds visit again and again
-MAPS, MAX_MAPS = Path("/proc/self/maps"), 30_000  # of 65,530; at this number a worker has 6 GB of programs
+MEMORY, MOST_GB = Path("/proc/self/statm"), 3.5  # of each worker, between test files
 hypothesis.settings.register_profile("patient", deadline=None)  # no test depends on how busy the machine is
 hypothesis.settings.load_profile("patient")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a script, whose children would inherit it
@@ -32,14 +35,33 @@ FLAGS += [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def forget_executables():
-    """Clear compiled programs before they use up the 65,530 memory maps of a process, which crashes the compiler."""
+def free_memory():
+    """Give memory back to the system and, if that is not enough, clear compiled programs.
+
+    Programs also use memory maps. A process may have 65,530, which a worker reaches at 20 GB.
+    """
     yield
-    if not MAPS.exists():
+    if _memory_gb() < MOST_GB:
+        return
+    _collect()
+    if (size := _memory_gb()) >= MOST_GB:
+        from htcp_jax.device.executor import EXECUTABLES  # here, as in `no_lines_of_progress`
+
         jax.clear_caches()
-    elif (maps := MAPS.read_bytes().count(b"\n")) > MAX_MAPS:
-        jax.clear_caches()
-        warnings.warn(f"compiled programs were cleared at {maps} memory maps", pytest.PytestWarning, stacklevel=1)
+        EXECUTABLES.clear()
+        _collect()
+        warnings.warn(f"compiled programs were cleared at {size:.1f} GB", pytest.PytestWarning, stacklevel=1)
+
+
+def _memory_gb() -> float:
+    """Return the memory that this process holds [GB]; as much as possible where it is unknown."""
+    return int(MEMORY.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9 if MEMORY.exists() else MOST_GB
+
+
+def _collect() -> None:
+    gc.collect()
+    with contextlib.suppress(AttributeError):  # the C library is not glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -295,8 +295,8 @@ def test_a_message_about_a_self_collision_says_how_far_both_capsules_are_from_th
     with pytest.raises(InputError) as by_capsule:
         check(by_capsules(job(arm, tmp_path, FOLDED)))
     note = (
-        r"capsule c is .* mm inside capsule a; depth of the mesh below the capsule's surface there: ([\d.]+) mm in c, "
-        r"([\d.]+) mm in a"
+        r"capsule c is .* mm inside capsule a; the mesh itself is there "
+        r"([\d.]+) mm below the capsule's surface in c and ([\d.]+) mm below the capsule's surface in a"
     )
     gaps = [float(gap) for gap in re.search(note, str(by_capsule.value)).groups()]
     robot = load_robot(arm)

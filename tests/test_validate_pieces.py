@@ -12,7 +12,9 @@ from stranger_jobs import ARM
 
 import htcp_jax
 from htcp_jax.errors import InputError
+from htcp_jax.proving import prove
 from htcp_jax.spec.config import CellConfig
+from htcp_jax.status import SegmentStatus
 from htcp_jax.validation import validate_results
 from htcp_jax.validation.convex_hull import Hull
 from htcp_jax.validation.mujoco_arm import MujocoArm
@@ -95,6 +97,21 @@ def test_between_targets_a_piece_is_measured_where_the_plan_recorded_more_than_i
     below = float(known.clearance.min())
     between = lambda recorded: scene.between(X[None], np.array([0]), known, below, recorded)[1]  # noqa: E731
     assert between(capsule - 1e-3) == pytest.approx(capsule) and between(piece - 1e-3) == np.inf
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_a_clearance_far_above_the_job_s_margin_is_proven_by_pieces_and_refuted_where_they_lack_it(tmp_path, curved):
+    """Regression: pieces were measured up to 5 mm above the job's margin, so that more was refuted."""
+    arm = MujocoArm(arm_file(tmp_path))
+    with_sphere(tmp_path, beside(arm, X, 0.08), 0.005)
+    cell = {"model": f"{tmp_path}/cell.xml", "self_collision": False}
+    job = {"robot": {"model": f"{tmp_path}/arm.xml"}, "workpiece": {"cloud": "none"}, "cell": cell}
+    capsule, piece = 0.08 - 0.005 - 0.05, 0.08 - 0.005 - HALF_M - THICK_M
+    x, lag = np.stack([X, X + 1e-3]), 1e-6 if curved else 0.0
+    proof = prove(job, x, margin_m=(capsule + piece) / 2, tracking_rad=lag)
+    assert proof.proven and (capsule + piece) / 2 <= proof.guaranteed_m <= piece
+    refuted = prove(job, x, margin_m=piece + 0.005, tracking_rad=lag)
+    assert refuted.verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
 
 
 def test_a_piece_s_distance_from_a_mesh_less_the_cover_is_what_a_plan_saves(tmp_path):

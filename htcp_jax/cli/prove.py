@@ -185,6 +185,8 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
         f"clearance {'of' if found.margin_m else 'above'} {1e3 * found.margin_m:g} mm"
         f"{'; on each seam its margin' if has_own else ''}"
     )
+    if found.most_recorded_m is not None:
+        facts["recorded"] = f"the clearance of convex pieces up to {1e3 * found.most_recorded_m:g} mm"
     if found.seams:
         facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():

@@ -312,11 +312,11 @@ def mesh_note(
     if robot.meshes is None:
         return ""
     known = [
-        f"{1e3 * gap:.3g} mm in {name}"
+        f"{1e3 * gap:.3g} mm below the capsule's surface in {name}"
         for name, point in zip(names, points, strict=False)
         if (gap := robot.meshes.outside_m(name, robot, x, point)) is not None
     ]
-    return f"; depth of the mesh below the capsule's surface there: {', '.join(known)}" if known else ""
+    return f"; the mesh itself is there {' and '.join(known)}" if known else ""
 
 
 def checked_pieces(robot: Robot) -> dict[int, tuple[Float[np.ndarray, "V 3"], float]]:

@@ -6,7 +6,8 @@ targets, where the segment is not a straight joint path. `Motion` has all config
 start to its last target. `CollisionChecker` checks configurations and the joint paths between them, on one device.
 
 `start_check` checks single starts, `start_cause` finds the reason for a start that fails, `motion_check` verifies each
-segment, `home` joins the home configuration to the start, and `smoothing` shortens a motion within its margin.
+segment, `raised_bounds` raises the bounds that decide a motion's clearance, `home` joins the home configuration to the
+start, and `smoothing` shortens a motion within its margin.
 `configurations` selects configurations that are far apart, and stores them in trees; `transfers` joins a start to other
 configurations. `tool_cells` proves that a target has no clear configuration. `step_functions` has the compiled
 functions of one lane, `lane_inputs` their inputs. `plans` computes outcomes; `motion` computes figures such as cost,

@@ -13,7 +13,7 @@ near the wall, and the job defines what it may touch (`tip_guard`).
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance.obstacles import TipGuard
+from htcp_jax.clearance.obstacles import CLOSE_M, TipGuard
 from htcp_jax.clearance.proof import ROUNDING_M, bisection, joint_path, margin, motion_proof
 from htcp_jax.device import Executor, tables
 from htcp_jax.model import TCP_POSITION, Task
@@ -170,6 +170,7 @@ class CollisionChecker:
         rows = np.zeros((len(off), joint_path.COEFFICIENTS, off.shape[1]))
         rows[:, : coefficients.shape[1]] = coefficients
         path, tube = joint_path.PolynomialPath(rows, off), free_tubes(self.task, inputs, margin_m)
+        inputs = _measuring_up_to(inputs, tube.margin)
         return self.executor(PROVE_POLYNOMIAL, inputs, path, tube, _resolution(len(off), kept))
 
     def path_clear(
@@ -236,7 +237,16 @@ def prove_call(
     tube = free_tubes(task, inputs) if tube is None else tube
     if tube.margin is None:
         tube = tube._replace(margin=margin.constant(np.full(len(a), -np.inf)))
-    return PROVE, inputs, a, b, tube, closely
+    return PROVE, _measuring_up_to(inputs, tube.margin), a, b, tube, closely
+
+
+def _measuring_up_to(inputs: LaneInputs, required: margin.Margin) -> LaneInputs:
+    """Return inputs with which convex pieces are measured as far as the required clearance.
+
+    With a scenario's own margin they are measured up to CLOSE_M above it, see `narrow_phase`.
+    """
+    beyond = required.most_m > inputs.margin_m + CLOSE_M
+    return inputs._replace(margin_m=np.where(beyond, required.most_m, inputs.margin_m))
 
 
 def free_tubes(task: Task, inputs: LaneInputs, margin_m: Float[np.ndarray, "n"] | None = None) -> motion_proof.Tube:

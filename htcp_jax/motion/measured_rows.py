@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts_of_each, surface_points
 from htcp_jax.clearance.obstacles import grouped
 from htcp_jax.device import Executor, devices, lane_function, tables
+from htcp_jax.errors import mm_text
 from htcp_jax.model import Robot, Task
 from htcp_jax.model import robot as robots
 from htcp_jax.settings import Settings
@@ -97,22 +98,34 @@ class MeasuredRows:
 
         Of several equally near obstacles, the workpiece is named last.
         """
-        number = int(np.searchsorted(self._starts, row, side="right")) - 1
-        group, row = self._groups[number], row - int(self._starts[number])
-        order = sorted(range(len(group)), key=lambda each: group[each].of_workpiece)
-        nearest = min(order, key=lambda each: self._of_each[number][each][k, row])
-        part, *more = group[nearest].parts(self._robot, row)
+        number, nearest, row = self._nearest(row, k)
+        obstacle = self._groups[number][nearest]
+        part, *more = obstacle.parts(self._robot, row)
         if more:
             parts = np.array([part, *more])
             part = parts[self._measure(np.full(len(parts), k), parts)[1][number][nearest][:, row].argmin()]
-        return group[nearest].part_name(self._robot, int(part))
+        return obstacle.part_name(self._robot, int(part))
+
+    def _nearest(self, row: int, k: int) -> tuple[int, int, int]:
+        """Return the obstacle nearest to a row's body at configuration k: its group, its place and its own row."""
+        number = int(np.searchsorted(self._starts, row, side="right")) - 1
+        group, row = self._groups[number], row - int(self._starts[number])
+        order = sorted(range(len(group)), key=lambda each: group[each].of_workpiece)
+        return number, min(order, key=lambda each: self._of_each[number][each][k, row]), row
 
     def mesh_note(self, row: int, k: int, other: str) -> str:
-        """Return the end of a collision message about a row's body at configuration k, see `robots.mesh_note`."""
+        """Return the end of a collision message about a row's body at configuration k.
+
+        It tells how far the body's mesh is from its capsule, see `robots.mesh_note`, and the obstacle's mesh from the
+        points that stand for it.
+        """
         robot, extension_m = self._robot, float(self._where.tool_extension_m[k])
         robot = robots.lengthen_tool(robot, extension_m) if extension_m else robot
         surfaces, by_piece = self.found.surfaces[k, row], bool(self.found.by_piece[k, row])
-        return robots.mesh_note(robot, self.body(row), other, self.x[k], surfaces, by_piece)
+        number, nearest, _ = self._nearest(row, k)
+        cover_m = self._groups[number][nearest].covering_radius_m
+        gaps = f"; this includes {mm_text(cover_m)} for the gaps between the points on its mesh" if cover_m else ""
+        return gaps + robots.mesh_note(robot, self.body(row), other, self.x[k], surfaces, by_piece)
 
     def _measure(self, k: Int[np.ndarray, "m"], parts: Int[np.ndarray, "m"] | int) -> tuple[RowDistances, list]:
         """Return the results of `measure_rows` at configurations k, with padding between the rows."""

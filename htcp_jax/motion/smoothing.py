@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from htcp_jax.device import devices, processes, tables
-from htcp_jax.model.task import TaskLinear
+from htcp_jax.model import TaskLinear
 from htcp_jax.motion.collision_checker import CollisionChecker
 from htcp_jax.motion.lane_inputs import LaneInputs, lane_inputs
 from htcp_jax.motion.motion_check import RequiredMargins, StraightPaths, prove_segments
@@ -274,10 +274,11 @@ class Smoothing:
             return [path.seen.linear.task for path in paths]
         inputs = jax.tree.map(lambda table: np.repeat(table, 2, axis=0), self._inputs(paths))
         linear = tables.concatenate([path.seen.linear for path in paths])
-        flat = jax.tree.map(lambda table: table.reshape(-1, *table.shape[2:]), linear)
+        count = len(linear.clearance.distance)
+        flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), linear)
         rows = self._checker.executor.task.own_rows(self._checker.executor(TASK_ROWS, inputs, flat))
-        rows = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), rows)
-        return [tables.gather(rows, own) for own in _split_by_path(np.arange(len(rows.slack)), paths)]
+        rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
+        return [tables.gather(rows, own) for own in _split_by_path(np.arange(count), paths)]
 
     def _candidates(self, steps: list[tuple[SmoothedPath, np.ndarray, Candidate]]) -> list[Candidate]:
         """Return each path after a step.

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from htcp_jax.clearance import Obstacle
+from htcp_jax.clearance.obstacles import CLOSE_M
 from htcp_jax.device import devices
 from htcp_jax.errors import InputError
 from htcp_jax.io.motions import MotionFile, controller_of, read_motion
@@ -31,7 +32,7 @@ from htcp_jax.proving.path_deviation import (
     pose_deviation,
     tcp_positions,
 )
-from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of
+from htcp_jax.proving.prove import KEPT, MotionProof, check_margin, prove_within, tighten, tracking_of, with_margin
 from htcp_jax.proving.scaled_errors import ErrorScale, error_scale
 from htcp_jax.proving.scene import Cell, ProofScene, build_scene, inputs_of
 from htcp_jax.proving.seam_proofs import SeamProof, SeamSegments, seam_segments
@@ -83,6 +84,14 @@ class FileProof:
         """Return the required clearance on a segment [m]; 0: any above 0."""
         own = 0.0 if self.seam_segments is None else float(self.seam_segments.required_m[segment])
         return max(self.margin_m, own)
+
+    @property
+    def most_recorded_m(self) -> float | None:
+        """Largest clearance that is recorded for convex pieces [m]; None for an arm without pieces."""
+        own = [] if self.seam_segments is None else self.seam_segments.required_m.tolist()
+        problem = self.scene.problem
+        margin_m = max(self.margin_m, float(problem.scenarios.margin_m[0]), *own)
+        return None if problem.robot.pieces is None else margin_m + CLOSE_M
 
     @property
     def verdict(self) -> str:
@@ -203,6 +212,7 @@ def prove_file(
         curves = motion_curves(problem, found)
         by_seam = seam_segments(scene, found, margin_m)
         margins = least_m if by_seam is None else np.maximum(by_seam.required_m, least_m)
+        problem = with_margin(problem, np.max(margins))
         progress("paths", 0, len(curves.segment))
         proof = prove_within(
             problem,

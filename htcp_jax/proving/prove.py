@@ -23,7 +23,7 @@ from htcp_jax.clearance.proof import bisection
 from htcp_jax.device import devices, tables
 from htcp_jax.errors import InputError
 from htcp_jax.motion import CollisionChecker, Problem
-from htcp_jax.motion.raised_bounds import Proving, raise_smallest, raised, together
+from htcp_jax.motion import raised_bounds as bounds
 from htcp_jax.proving.curves import JointCurves, straight
 from htcp_jax.proving.scene import Cell, scene_of
 from htcp_jax.spec import ObstacleKind, TaskRowKind
@@ -114,6 +114,12 @@ def prove(
     return MotionProof(*(each.reshape(shape) for each in found.arrays))
 
 
+def with_margin(problem: Problem, margin_m: float) -> Problem:
+    """Return the problem with at least this margin [m], so that distances of convex pieces are known beyond it."""
+    scenarios = problem.scenarios
+    return problem.with_scenarios(replace(scenarios, margin_m=np.maximum(scenarios.margin_m, margin_m)))
+
+
 def check_margin(margin_m: float) -> None:
     """Check a required clearance [m].
 
@@ -196,26 +202,26 @@ def tighten(
     clearance[loose] = np.fmax(clearance[loose], again.clearance_m)
     queries[loose] += again.queries
 
-    def more(k: int) -> Proving[float]:
+    def more(k: int) -> bounds.Proving[float]:
         margin = float(np.max(_margins_at(margin_m, np.array([k]))))
         return _raised(curves.of_segments(np.array([k])), margin)
 
     def proven(asked: list[tuple[JointCurves, float]]) -> list[Float[np.ndarray, "_"]]:
         return [prove_curves(problem, own, margin_m=margin, kept=TIGHT).clearance_m for own, margin in asked]
 
-    together([raise_smallest(clearance, more)], proven)
+    bounds.together([bounds.raise_smallest(clearance, more)], proven)
     return replace(found, clearance_m=clearance, queries=queries)
 
 
-def _raised(curves: JointCurves, margin_m: float) -> Proving[float]:
+def _raised(curves: JointCurves, margin_m: float) -> bounds.Proving[float]:
     """Return the clearance that proofs of parts of one segment's paths guarantee [m]; yield parts and the margin."""
     own = curves._replace(segment=np.arange(len(curves.segment)))
     clearance = yield own, margin_m
 
-    def more(j: int) -> Proving[float]:
-        return raised(lambda begin, end: (own.between(j, begin, end), margin_m), clearance[j])
+    def more(j: int) -> bounds.Proving[float]:
+        return bounds.raised(lambda begin, end: (own.between(j, begin, end), margin_m), clearance[j])
 
-    yield from raise_smallest(clearance, more)
+    yield from bounds.raise_smallest(clearance, more)
     return clearance.min()
 
 

@@ -299,9 +299,9 @@ class WorkpieceConfig(strict_model.FileSection):
     tip_contact_m: Annotated[float, Field(ge=0, le=LARGEST)] | None = None
     pivot_m: PointM = PIVOT  # world point about which the workpiece is rotated
     neutral_translation_m: PointM = NEUTRAL_TRANSLATION  # translation before the rotations
-    rotation_x_rad: float = 0.0  # rotation about world x, applied first, then y, then z
-    rotation_y_rad: float = 0.4
-    rotation_z_rad: float = 0.1
+    rotation_x_rad: Turn = 0.0  # rotation about world x, applied first, then y, then z
+    rotation_y_rad: Turn = 0.4
+    rotation_z_rad: Turn = 0.1
     shift_m: PointM = (0.0, 0.0, 0.0)  # translation in the world, after the rotations
     approach_to_inlet: ApproachSteps = 5  # number of equal steps from the start's TCP to the inlet
     approach_to_path: ApproachSteps = 5  # number of equal steps from the inlet to the first point of the path

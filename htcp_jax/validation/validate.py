@@ -39,6 +39,10 @@ from htcp_jax.validation.track import TrackCheck, check
 
 LISTED = 100  # maximum number of refuted targets in the list
 UNSTATED_MM_S = 10.0  # feed rate for the joint speeds if no job states one [mm/s]
+BOUNDS = (
+    "The mesh in a capsule is measured only where the capsule is nearer than the plan records: "
+    "clearances are lower bounds."
+)
 MOST_BETWEEN = 10_000  # maximum number of steps between two targets, limited by memory
 
 
@@ -74,10 +78,10 @@ def validate_results(
     began = time.perf_counter()
     results = read_results(source if isinstance(source, Run) else Path(source))
     parts, joints = LoadedParts(results), ()
-    checked, report, feeds = [], progress or (lambda checked, count: None), set[str]()
+    checked, report, feeds, has_hulls = [], progress or (lambda checked, count: None), set[str](), False
     for track in results.tracks:
         arm, wall, surroundings = parts.of(track)
-        joints, done = joints or arm.joints, len(checked)
+        joints, done, has_hulls = joints or arm.joints, len(checked), has_hulls or any(arm.hulls)
         feeds |= {text for text in track.config.stated_feeds if text is not None}
         given = results, arm, wall, surroundings, track, between, only_claimed, step_rad
         checked.append(check(*given, lambda share, done=done: report(done + share, results.count)))
@@ -96,7 +100,8 @@ def validate_results(
     lacking = [
         f"The plan lacks the seam {name!r}, which is not validated: {why}." for name, why in results.missing.items()
     ]
-    return Validation(*found, (*lacking, *_unchecked(checked, parts.cells.values())))
+    bounds = (BOUNDS,) if has_hulls else ()
+    return Validation(*found, (*lacking, *_unchecked(checked, parts.cells.values()), *bounds))
 
 
 def validation_record(found: Validation) -> dict[str, Any]:

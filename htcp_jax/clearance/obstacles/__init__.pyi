@@ -2,6 +2,7 @@ from . import self_exclusions
 from .contact_model import ContactModel, hold_contacts, predict_distances
 from .given_obstacle import given_obstacles, with_given
 from .linearisation import Linearisation, TaskRows, linearise
+from .narrow_phase import CLOSE_M
 from .obstacle import THE_WORKPIECE, Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
@@ -10,6 +11,7 @@ from .self_collision import RefusedPair, SelfCollision, make_self_collision, ref
 from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
 __all__ = [
+    "CLOSE_M",
     "THE_WORKPIECE",
     "ContactModel",
     "Contacts",

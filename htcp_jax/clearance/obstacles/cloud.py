@@ -46,6 +46,11 @@ class Cloud(Obstacle):
     sweeps = True
     is_exact = True
 
+    @property
+    def covering_radius_m(self) -> float:
+        """Covering radius of the points, which is subtracted from every distance [m]."""
+        return float(self.cover)
+
     def __repr__(self) -> str:
         return f"Cloud({self.count} points)"
 

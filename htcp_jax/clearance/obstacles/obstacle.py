@@ -233,6 +233,11 @@ class Obstacle:
         """Return the name of a part for messages."""
         return THE_WORKPIECE if self.of_workpiece else f"the obstacle {type(self).__name__!r}"
 
+    @property
+    def covering_radius_m(self) -> float:
+        """Length that is subtracted from every distance, for the gaps between points that stand for a mesh [m]."""
+        return 0.0
+
 
 Obstacles = tuple[Obstacle, ...]
 

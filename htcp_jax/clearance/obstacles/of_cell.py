@@ -80,6 +80,11 @@ class PlacedCloud(Obstacle):
         return self.cloud.clear_along(*self._seen(robot, where, bodies), sweep, wanted)
 
     @property
+    def covering_radius_m(self) -> float:
+        """Covering radius of the points, which is subtracted from every distance [m]."""
+        return self.cloud.covering_radius_m
+
+    @property
     def names(self) -> tuple[str]:
         """The cloud's name, as a tuple."""
         return (self.name,)

@@ -84,7 +84,8 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     plain_axes(axes)
     verdicts = {SegmentStatus(int(each)) for each in proof.verdict}
     marks = [Line2D([], [], color=PROVEN, linewidth=2.2, label=BOUND)] if SegmentStatus.VALID in verdicts else []
-    marks.append(Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label=AT_POINTS))
+    most = "" if found.most_recorded_m is None else f", of convex pieces up to {1e3 * found.most_recorded_m:g} mm"
+    marks.append(Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label=AT_POINTS + most))
     marks += [
         Patch(color=COLOURS.get(each, REFUTED), alpha=0.3, linewidth=0, label=each.words)
         for each in sorted(verdicts - {SegmentStatus.VALID})
