@@ -47,7 +47,7 @@ from htcp_jax.status import SegmentStatus, Status
 
 MOST_TRANSFERS = 3  # maximum number of searches from other configurations per scenario
 GPU_THREADS = 4  # maximum on GPUs; more threads wait for each other, as Python runs one at a time
-EACH_PAYS = 1024  # scenarios per thread on GPUs; fewer lanes take as long as many, and the GPU runs one call at a time
+EACH_PAYS = 192  # scenarios per thread on GPUs; fewer take as long as many, and the GPU runs one call at a time
 IN_FLIGHT = 4  # the number of scenarios planned together is the number of lanes / IN_FLIGHT
 
 
