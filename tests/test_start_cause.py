@@ -28,9 +28,11 @@ PLACE = without_pose(np.eye(4))
 POINT = np.array([0.5, 0.0, 0.5])
 
 
-def cause_of(cloud: np.ndarray, status: Status, path=POINT, start=None, task: Task | None = None, **margin):
+def cause_of(
+    cloud: np.ndarray, status: Status, path=POINT, start=None, task: Task | None = None, cover_m=0.0, **margin
+):
     """Reason of one scenario of the toy arm with a cloud."""
-    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME}
+    choices = {"interior": "none", "pivot": HOME, "neutral_translation": HOME, "covering_radius_m": cover_m}
     part = Workpiece("part", cloud, np.array([path, path + 1e-3]), **choices)
     scenarios = stack([make_scenario(toy.robot(), part, start, rotation=(0.0, 0.0), approach=(0, 0), **margin)])
     task = Task(tolerance_m=1e-3) if task is None else task
@@ -48,6 +50,13 @@ def test_a_start_in_collision_names_body_obstacle_and_depth():
     found = cause_of(np.array([[0.0, 0.01, 0.9]]).repeat(4, 0), Status.START_IN_COLLISION, start=(0.0, 0.0, 0.0, 0.0))
     assert (found.body, found.other, found.always) == ("forearm", "the workpiece", False)
     assert found.depth_m == pytest.approx(0.02) and found.description == "capsule forearm is 20 mm inside the workpiece"
+
+
+def test_an_overlap_with_points_on_a_mesh_says_how_much_the_gaps_between_them_take():
+    at = np.array([[0.0, 0.01, 0.9]]).repeat(4, 0)
+    found = cause_of(at, Status.START_IN_COLLISION, start=(0.0, 0.0, 0.0, 0.0), cover_m=0.005)
+    gaps = "5 mm are subtracted for the gaps between the points on its mesh"
+    assert found.description == f"capsule forearm is 25 mm inside the workpiece; {gaps}"
 
 
 def test_a_point_that_no_configuration_reaches_is_out_of_reach():

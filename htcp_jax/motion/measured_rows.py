@@ -116,16 +116,18 @@ class MeasuredRows:
     def mesh_note(self, row: int, k: int, other: str) -> str:
         """Return the end of a collision message about a row's body at configuration k.
 
-        It tells how far the body's mesh is from its capsule, see `robots.mesh_note`, and the obstacle's mesh from the
-        points that stand for it.
+        It has `gaps_note`, and how far the body's mesh is from its capsule, see `robots.mesh_note`.
         """
         robot, extension_m = self._robot, float(self._where.tool_extension_m[k])
         robot = robots.lengthen_tool(robot, extension_m) if extension_m else robot
         surfaces, by_piece = self.found.surfaces[k, row], bool(self.found.by_piece[k, row])
+        return self.gaps_note(row, k) + robots.mesh_note(robot, self.body(row), other, self.x[k], surfaces, by_piece)
+
+    def gaps_note(self, row: int, k: int) -> str:
+        """Return the part of a message about what the points on an obstacle's mesh take from a row's distance."""
         number, nearest, _ = self._nearest(row, k)
         cover_m = self._groups[number][nearest].covering_radius_m
-        gaps = f"; this includes {mm_text(cover_m)} for the gaps between the points on its mesh" if cover_m else ""
-        return gaps + robots.mesh_note(robot, self.body(row), other, self.x[k], surfaces, by_piece)
+        return f"; {mm_text(cover_m)} are subtracted for the gaps between the points on its mesh" if cover_m else ""
 
     def _measure(self, k: Int[np.ndarray, "m"], parts: Int[np.ndarray, "m"] | int) -> tuple[RowDistances, list]:
         """Return the results of `measure_rows` at configurations k, with padding between the rows."""

@@ -216,7 +216,7 @@ def _cause(found: MeasuredRows, row: int, k: int, always: bool) -> StartCause:
         where = "every configuration" if found.stands[row] else f"all of {len(found.x)} random configurations"
         least = "" if found.stands[row] else "at least "
         text = f"{other} and {body} overlap by {least}{mm_text(depth_m)} in {where}"
-    return StartCause(text, found.body(row), other, depth_m, always)
+    return StartCause(text + found.gaps_note(row, k), found.body(row), other, depth_m, always)
 
 
 def _attempt(found: MeasuredRows, row: int, k: int) -> Attempt:
