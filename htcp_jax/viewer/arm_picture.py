@@ -35,6 +35,7 @@ LEGEND = {  # by colour
     EXCESS(0.5): "capsules about the mesh, for a first, fast test; coloured by their distance from the mesh",
     PIECE: "convex pieces, which decide where the capsules come too near",
 }
+WIDTH_IN, MOST_ROW_IN, ROOM_IN, TITLE_IN = 14, 10, 1.5, 0.5  # of the figure; of a row, and for its texts; of the title
 AXES, AXIS_M = ("#c0392b", "#27ae60", "#2c5fd1"), 0.1  # colours of the TCP frame's axes, and their length
 
 
@@ -59,10 +60,8 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
     mujoco.mj_kinematics(model, data)
     has_pieces = any(cover.hulls for cover in arm.covers.values())
     rows = 1 + has_pieces
-    figure = Figure(figsize=(14, 10 * rows), dpi=110, facecolor=PAPER, layout="compressed")
+    figure = Figure(figsize=(WIDTH_IN, MOST_ROW_IN * rows), dpi=110, facecolor=PAPER, layout="compressed")
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(rect=(0, 0, 1, 1 - 0.05 / rows))
-    figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, y=1 - 0.015 / rows, ha="left")
     excess = [1e3 * each for cover in arm.covers.values() for each in cover.excesses.values()]
     scale = ScalarMappable(Normalize(0.0, max(excess, default=0.0) or 1.0), EXCESS)
     grid = figure.subplots(rows, len(SIDES), sharex="col", sharey=True, squeeze=False)
@@ -70,7 +69,13 @@ def draw_arm(arm: robots.ImportedArm, text: str, title: str) -> Figure:
         for axes, (heading, flat) in zip(row, SIDES.items(), strict=True):
             _draw_side(axes, arm, model, data, flat, scale, pieces=what != "capsules")
             axes.set_title(f"{what},\n{heading}", color=INK, fontsize=12, loc="left")
-    grid[0, 0].get_gridspec().set_width_ratios([np.ptp(axes.get_xlim()) for axes in grid[0]])  # equal scales
+    widths = [np.ptp(axes.get_xlim()) for axes in grid[0]]
+    grid[0, 0].get_gridspec().set_width_ratios(widths)  # equal scales
+    row_in = ROOM_IN + 0.8 * WIDTH_IN * np.ptp(grid[0, 0].get_ylim()) / sum(widths)
+    height_in = TITLE_IN + rows * min(row_in, MOST_ROW_IN)
+    figure.set_figheight(height_in)
+    figure.get_layout_engine().set(rect=(0, 0, 1, 1 - TITLE_IN / height_in))
+    figure.suptitle(title, color=INK, fontsize=15, fontweight="bold", x=0.015, y=1 - 0.15 / height_in, ha="left")
     step_m = max(np.diff(ticks)[0] for ticks in (grid[0, 0].get_xticks(), grid[0, 0].get_yticks()))
     for axis in (axis for axes in grid.flat for axis in (axes.xaxis, axes.yaxis)):
         axis.set_major_locator(MultipleLocator(step_m))
