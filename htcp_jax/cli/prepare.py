@@ -1,12 +1,15 @@
 """`htcp prepare`: compile what the first plans of many jobs wait for."""
 
+import signal
 import time
 import warnings
 
 from htcp_jax.cli.output import Device, claim_device, progress_text, stdout
 from htcp_jax.device import COMPILATIONS
-from htcp_jax.errors import InputError
-from htcp_jax.system import temporary_folder
+from htcp_jax.errors import InputError, Interrupted
+from htcp_jax.system import stop_message, temporary_folder
+
+STOPPED = "stopped; the programs compiled so far are kept: htcp prepare goes on from them"
 
 
 def prepare(device: Device = None) -> int:
@@ -33,10 +36,13 @@ def prepare(device: Device = None) -> int:
 
         if cache_folder.enable() is None:
             raise InputError("there is no cache folder to compile for: set HTCP_CACHE to a folder, or unset it")
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), stop_message(lambda: STOPPED):
             warnings.simplefilter("ignore")  # about the typical jobs, which are not the user's
-            for plan in typical_plans(folder, device):
-                plan.write(folder)
+            try:
+                for plan in typical_plans(folder, device):
+                    plan.write(folder)
+            except KeyboardInterrupt:
+                raise Interrupted(STOPPED, signal.SIGINT) from None
         if key := cache_key.preparation_key(devices.choose(device)[0]):
             cache_folder.write(key, b"")
     seconds = time.perf_counter() - began
