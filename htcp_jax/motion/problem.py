@@ -39,6 +39,7 @@ class Execution:
         processes: Number of processes that share the scenarios on a CPU; None: see `processes.profitable_count`. With
             several NVIDIA GPUs, large problems get one process per GPU unless `processes` is 1. Work that other
             processes cannot import, for example a method or an obstacle defined in a notebook, is planned in this one.
+            On a GPU, further processes on all cores solve the QPs of smoothing in large problems.
         targets_in_all: Number of targets of all problems that belong together, such as the shards of a sweep; None: of
             this problem. It determines whether several processes are used.
         warm_up: Names of methods that will plan such scenarios. Their executables are compiled before the plan, in
