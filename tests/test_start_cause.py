@@ -55,8 +55,10 @@ def test_a_start_in_collision_names_body_obstacle_and_depth():
 def test_an_overlap_with_points_on_a_mesh_says_how_much_the_gaps_between_them_take():
     at = np.array([[0.0, 0.01, 0.9]]).repeat(4, 0)
     found = cause_of(at, Status.START_IN_COLLISION, start=(0.0, 0.0, 0.0, 0.0), cover_m=0.005)
-    gaps = "5 mm are subtracted for the gaps between the points on its mesh"
+    gaps = "this includes 5 mm for the gaps between the points on its mesh"
     assert found.description == f"capsule forearm is 25 mm inside the workpiece; {gaps}"
+    found = cause_of(at + np.array([0, 0.025, 0]), Status.START_IN_COLLISION, start=(0.0, 0.0, 0.0, 0.0), cover_m=0.03)
+    assert found.description.endswith("mm for the gaps between the points on its mesh, which itself may be clear")
 
 
 def test_a_point_that_no_configuration_reaches_is_out_of_reach():

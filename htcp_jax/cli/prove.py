@@ -187,6 +187,10 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
     )
     if found.most_recorded_m is not None:
         facts["recorded"] = f"the clearance of convex pieces up to {1e3 * found.most_recorded_m:g} mm"
+    workpiece = found.scene.problem.workpiece
+    if found.proof is not None and workpiece.covering_radius_m:
+        least_m = float(found.guaranteed_m) if found.proof.proven else 0.0
+        facts["measured"] = f"to points on the part's mesh; {failure_texts.subtracted(workpiece, least_m)}"
     if found.seams:
         facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():

@@ -126,8 +126,13 @@ class MeasuredRows:
     def gaps_note(self, row: int, k: int) -> str:
         """Return the part of a message about what the points on an obstacle's mesh take from a row's distance."""
         number, nearest, _ = self._nearest(row, k)
-        cover_m = self._groups[number][nearest].covering_radius_m
-        return f"; {mm_text(cover_m)} are subtracted for the gaps between the points on its mesh" if cover_m else ""
+        cover_m, distance_m = self._groups[number][nearest].covering_radius_m, float(self.distance[k, row])
+        if not cover_m:
+            return ""
+        gaps = f"{mm_text(cover_m)} for the gaps between the points on its mesh"
+        if distance_m > 0:
+            return f"; {gaps} are subtracted"
+        return f"; this includes {gaps}" + (", which itself may be clear" if -distance_m < cover_m else "")
 
     def _measure(self, k: Int[np.ndarray, "m"], parts: Int[np.ndarray, "m"] | int) -> tuple[RowDistances, list]:
         """Return the results of `measure_rows` at configurations k, with padding between the rows."""

@@ -71,8 +71,9 @@ class FileProof:
     seam_segments: SeamSegments | None = None  # seams of the segments; None: one seam, or no joint values
     # where a refuted motion first collides or, if it never does, is first below the margin; None: it is not refuted
     first: Contact | None = None
-    # D at the begin of each of the p paths of `curves` [m]; NaN: not measured; None: the file has no joint values
-    measured_m: Float[np.ndarray, "p"] | None = None
+    # D at the begin of each of the p paths of `curves`, and at the end of the last one [m]; NaN: not measured; None: no
+    # joint values
+    measured_m: Float[np.ndarray, "p+1"] | None = None
 
     @property
     def seams(self) -> tuple[SeamProof, ...]:
@@ -246,9 +247,10 @@ def prove_file(
             required = float(np.broadcast_to(margins, len(proof.verdict))[start])
             limit_m = 0.0 if proof.verdict[start] == SegmentStatus.IN_COLLISION else required
             first = first_contact(problem, curves, start, limit_m) or contacts_by[start]
-        measured_m = np.full(len(curves.segment), np.nan)
-        rows = np.unique(np.linspace(0, len(measured_m) - 1, min(len(measured_m), MOST_MEASURED)).round().astype(int))
-        measured_m[rows] = start_cause.clearances_at(problem, curves.coefficients[rows, 0])
+        x = np.vstack([curves.coefficients[:, 0], curves.coefficients[-1].sum(axis=0)])
+        measured_m = np.full(len(x), np.nan)
+        rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), MOST_MEASURED)).round().astype(int))
+        measured_m[rows] = start_cause.clearances_at(problem, x[rows])
         limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(

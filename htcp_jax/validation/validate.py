@@ -40,7 +40,7 @@ from htcp_jax.validation.track import TrackCheck, check
 LISTED = 100  # maximum number of refuted targets in the list
 UNSTATED_MM_S = 10.0  # feed rate for the joint speeds if no job states one [mm/s]
 BOUNDS = (
-    "The mesh in a capsule is measured only where the capsule is nearer than the plan records: "
+    "The convex piece in a capsule is measured only where the capsule is nearer than the plan records: "
     "clearances are lower bounds."
 )
 MOST_BETWEEN = 10_000  # maximum number of steps between two targets, limited by memory

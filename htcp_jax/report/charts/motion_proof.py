@@ -65,8 +65,10 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     axes.hlines(clearance, edges[:-1], edges[1:], color=PROVEN, linewidth=2.2)
     assert found.curves is not None and found.measured_m is not None
     drawn = np.flatnonzero(found.measured_m > 0)
-    segment, measured = found.curves.segment[drawn], np.clip(1e3 * found.measured_m[drawn], LOWEST_MM, TOP_MM)
-    at = edges[segment] + found.curves.span[drawn, 0] * (edges[segment + 1] - edges[segment])
+    measured = np.clip(1e3 * found.measured_m[drawn], LOWEST_MM, TOP_MM)
+    segment, share = (np.append(own, own[-1:])[drawn] for own in (found.curves.segment, found.curves.span[:, 0]))
+    at = edges[segment] + share * (edges[segment + 1] - edges[segment])
+    at[drawn == len(found.measured_m) - 1] = edges[-1]
     axes.plot(at, measured, color=MEASURED, linewidth=1.1, marker=".", markersize=3)
     known = np.concatenate([clearance, measured])
     known = known[np.isfinite(known)]
@@ -84,7 +86,7 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     plain_axes(axes)
     verdicts = {SegmentStatus(int(each)) for each in proof.verdict}
     marks = [Line2D([], [], color=PROVEN, linewidth=2.2, label=BOUND)] if SegmentStatus.VALID in verdicts else []
-    most = "" if found.most_recorded_m is None else f", of convex pieces up to {1e3 * found.most_recorded_m:g} mm"
+    most = "" if found.most_recorded_m is None else f"; pieces up to {1e3 * found.most_recorded_m:g} mm"
     marks.append(Line2D([], [], color=MEASURED, linewidth=1.1, marker=".", label=AT_POINTS + most))
     marks += [
         Patch(color=COLOURS.get(each, REFUTED), alpha=0.3, linewidth=0, label=each.words)
@@ -92,9 +94,8 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     ]
     if found.margin_m:
         marks.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=(0, (4, 2)), label="required margin"))
-    legend = axes.legend(
-        handles=marks, loc="lower right", bbox_to_anchor=(1, 1), ncols=len(marks), frameon=False, fontsize=9.5
-    )
+    look = {"ncols": 2, "frameon": False, "fontsize": 9.5}  # more would not fit side by side
+    legend = axes.legend(handles=marks, loc="lower left", bbox_to_anchor=(0, 1), **look)
     for label in legend.get_texts():
         label.set_color(QUIET)
 
