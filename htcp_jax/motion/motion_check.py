@@ -187,15 +187,11 @@ def _bounds_along(
 
 def _clearances(problem: Problem, asked: Sequence[tuple[StraightPaths, float]]) -> list[Float[np.ndarray, "_"]]:
     """Return the proven clearances of joint paths, from `_bounds_along` [m]; NaN where a path is not proven."""
-    found: list = [None] * len(asked)
-    for kept in {kept for _, kept in asked}:
-        rows = [k for k, (_, own) in enumerate(asked) if own == kept]
-        proofs = _proofs(problem, tables.concatenate([asked[k][0] for k in rows]), kept)
-        clearance = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
-        ends = np.cumsum([len(asked[k][0].target) for k in rows])
-        for k, own in zip(rows, np.split(clearance, ends[:-1]), strict=True):
-            found[k] = own
-    return found
+    count = [len(paths.target) for paths, _ in asked]
+    paths = tables.concatenate([paths for paths, _ in asked])
+    proofs = _proofs(problem, paths, np.repeat([kept for _, kept in asked], count))
+    clearance = np.where(proofs.verdict == SegmentStatus.VALID, proofs.clearance, np.nan)
+    return np.split(clearance, np.cumsum(count)[:-1])
 
 
 def tighten(problem: Problem, plans: Plans, here: Bool[np.ndarray, "T"] | None = None) -> Plans:
@@ -267,7 +263,7 @@ def prove_segments(
     problem: Problem,
     checker: CollisionChecker,
     segments: StraightPaths,
-    kept: float = 0.0,
+    kept: float | Float[np.ndarray, "n"] = 0.0,
     margins: RequiredMargins | None = None,
 ) -> bisection.Proof:
     """Return one proof per straight joint path.
@@ -298,15 +294,19 @@ def _proofs_with_margins(problem: Problem, segments: StraightPaths, margins: Req
 
 
 def _proofs(
-    problem: Problem, segments: StraightPaths, kept: float = KEPT, margins: RequiredMargins | None = None
+    problem: Problem,
+    segments: StraightPaths,
+    kept: float | Float[np.ndarray, "n"] = KEPT,
+    margins: RequiredMargins | None = None,
 ) -> bisection.Proof:
     """Return one proof per straight joint path, computed by all threads of the problem."""
+    each = np.broadcast_to(kept, len(segments.target))
 
     def prove(checker: CollisionChecker, share: slice) -> bisection.Proof:
         found = []
-        for part in tables.portions(tables.gather(segments, share)):
+        for part, own in tables.portions(tables.gather((segments, each), share)):
             problem.progress(0, 0)
-            found.append(prove_segments(problem, checker, part, kept, margins))
+            found.append(prove_segments(problem, checker, part, own, margins))
         return tables.concatenate(found)
 
     return tables.interleaved(problem.in_threads(prove, min(problem.threads, len(segments.target))))

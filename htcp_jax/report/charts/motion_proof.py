@@ -66,9 +66,9 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
     assert found.curves is not None and found.measured_m is not None
     drawn = np.flatnonzero(found.measured_m > 0)
     measured = np.clip(1e3 * found.measured_m[drawn], LOWEST_MM, TOP_MM)
-    segment, share = (np.append(own, own[-1:])[drawn] for own in (found.curves.segment, found.curves.span[:, 0]))
+    segment, span = found.curves.segment, found.curves.span
+    segment, share = np.append(segment, segment[-1])[drawn], np.append(span[:, 0], span[-1, 1])[drawn]
     at = edges[segment] + share * (edges[segment + 1] - edges[segment])
-    at[drawn == len(found.measured_m) - 1] = edges[-1]
     axes.plot(at, measured, color=MEASURED, linewidth=1.1, marker=".", markersize=3)
     known = np.concatenate([clearance, measured])
     known = known[np.isfinite(known)]
