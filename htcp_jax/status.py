@@ -180,11 +180,12 @@ class UndecidedCause(enum.IntEnum):
     TRACKING = 1
     CORNER = 2
     SUBDIVISION = 3
+    MESH_POINTS = 4
 
     @property
     def words(self) -> str:
         """Name of the cause in tables, such as "rounded corner"."""
-        return {0: "", 1: "tracking", 2: "rounded corner", 3: "finest subdivision"}[self]
+        return {0: "", 1: "tracking", 2: "rounded corner", 3: "finest subdivision", 4: "points on a mesh"}[self]
 
     @property
     def message(self) -> str:
@@ -197,6 +198,7 @@ _CAUSE_MESSAGES = {
     UndecidedCause.TRACKING: "clear on the motion itself, not proven within the tracking",
     UndecidedCause.CORNER: "not proven for all paths inside the rounded corner",
     UndecidedCause.SUBDIVISION: "neither proven nor refuted at the finest subdivision",
+    UndecidedCause.MESH_POINTS: "far enough from the points on a mesh, not proven for the mesh between them",
 }
 
 

@@ -9,12 +9,13 @@ import jax
 import made_once
 import numpy as np
 import pytest
+import trimesh
 
 import htcp_jax
 from htcp_jax.clearance import Scene
 from htcp_jax.errors import InputError
 from htcp_jax.motion.motion_check import clearance_along
-from htcp_jax.proving import JointCurves, corners, prove_curves, scene_of, straight
+from htcp_jax.proving import JointCurves, MotionProof, corners, prove_curves, scene_of, straight
 from htcp_jax.proving.prove import prove_within, tighten
 from htcp_jax.status import SegmentStatus, UndecidedCause
 
@@ -95,6 +96,28 @@ def test_a_segment_is_undecided_if_the_servo_may_reach_an_obstacle_and_below_the
 def test_a_motion_that_grazes_an_obstacle_by_a_millionth_of_a_mm_is_undecided_at_the_finest_subdivision(problem):
     found = prove_curves(problem, straight(past_the_ball(-1e-9)), kept=0.0)
     assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.SUBDIVISION]
+
+
+def test_a_motion_that_only_the_gaps_between_points_on_a_mesh_refute_is_undecided(job, tmp_path):
+    """A plate with its top at z = 0; its points are up to 8 mm from any place on it."""
+    plate = trimesh.creation.box((0.2, 0.4, 0.02), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.01], [0, 0, 0, 1]]))
+    plate.export(tmp_path / "plate.stl")
+    (tmp_path / "path.csv").write_text("x,y,z\n0,0,0\n0.01,0,0\n")
+    pose = {"neutral_translation_m": [0, 0, 0], "pivot_m": [0, 0, 0], "rotation_y_rad": 0, "rotation_z_rad": 0}
+    part = {"cloud": f"{tmp_path}/plate.stl", "unit": "m", "path": f"{tmp_path}/path.csv", "path_unit": "m"}
+    part |= {"interior": "none", "mesh_spacing_m": 0.016, **pose}
+    with pytest.warns(UserWarning, match=r"every clearance is reduced by 7\.81 mm"):
+        cell = scene_of({**job, "workpiece": part, "cell": {"self_collision": False}})
+
+    def along(distance_m: float, margin_m: float = 0.0) -> MotionProof:
+        z = distance_m + ROD_M
+        return prove_curves(cell.problem, straight(np.array([[-0.05, z, 0], [0.05, z, 0]])), margin_m=margin_m)
+
+    assert along(0.02).proven
+    assert along(-0.002).verdict.tolist() == [IN_COLLISION]
+    for found in (along(0.003), along(0.006, margin_m=0.005)):
+        assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.MESH_POINTS]
+    assert along(0.003, margin_m=0.02).verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
 
 
 def tcp_of(x: np.ndarray) -> np.ndarray:

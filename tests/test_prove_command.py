@@ -388,7 +388,7 @@ def test_a_group_of_segments_names_each_link_and_obstacle_that_collide_and_the_c
     ]
     assert [each.clearance_m for each in pairs] == sorted(each.clearance_m for each in pairs)
     assert pairs[0] is found.contacts[group.deepest] and all(each.clearance_m < 0 for each in pairs)
-    assert [row[-1] for row in unproven_table(found).rows] == [f"{each.body}, {each.other}" for each in pairs]
+    assert [row[-1] for row in unproven_table(found).rows] == [each.text for each in pairs]
     above, below = proof_chart(found).axes
     assert [text.get_text() for text in below.get_legend().get_texts()] == [
         f"{each.body} and {each.other}" for each in pairs

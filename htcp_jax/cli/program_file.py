@@ -123,11 +123,9 @@ def refusal(proof: ProgramProof) -> str:
     contact, motion = proof.contact, proof.motion
     where = f"lines {motion.line[contact.segment]} to {motion.line[contact.segment + 1]}"
     moves = f"the motion of the file, {motion.interpolation} between its configurations"
-    apart = f"{contact.depth} inside" if contact.clearance_m <= 0 else f"{mm_text(contact.clearance_m)} from"
-    found = f"{contact.body} is {apart} {contact.other}"
     if proof.is_refuted:
-        return f"{moves}, collides at {where}: {found}"
-    return f"{moves}, is undecided at {where}: {found}; {proof.cause.message}"
+        return f"{moves}, collides at {where}: {contact.text}"
+    return f"{moves}, is undecided at {where}: {contact.text}; {proof.cause.message}"
 
 
 def proof_facts(proof: ProgramProof) -> dict[str, str]:

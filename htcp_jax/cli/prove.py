@@ -190,7 +190,8 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
     workpiece = found.scene.problem.workpiece
     if found.proof is not None and workpiece.covering_radius_m:
         least_m = float(found.guaranteed_m) if found.proof.proven else 0.0
-        facts["measured"] = f"to points on the part's mesh; {failure_texts.subtracted(workpiece, least_m)}"
+        as_above = "" if found.proof.proven else ", as the distances above; for a proof"
+        facts["measured"] = f"to points on the part's mesh{as_above or ';'} {failure_texts.subtracted(workpiece, least_m)}"
     if found.seams:
         facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():
@@ -283,8 +284,7 @@ def unproven_table(found: FileProof) -> Table:
             time_s = found.time_at(contact.segment, contact.place)
             place = {"deepest": f"{line[contact.segment]} to {line[contact.segment + 1]}", "place_s": time_s}
             place |= {"place_percent": 100 * contact.place if time_s is None else None}
-            bodies = f"{contact.body}, {contact.other}"
-            rows.append(row | place | {"depth_mm": -1e3 * contact.clearance_m, "bodies": bodies})
+            rows.append(row | place | {"contact": contact.text})
         rows += [] if pairs else [row]
-    keys = f"{found.counted}s", "verdict", "cause", "deepest", "place_percent", "place_s", "depth_mm", "bodies"
+    keys = f"{found.counted}s", "verdict", "cause", "deepest", "place_percent", "place_s", "contact"
     return Table.of("unproven", keys, rows).without_empty()

@@ -158,6 +158,14 @@ class Problem:
         return all_obstacles(self.workpiece, self.other_obstacles)
 
     @cached_property
+    def without_covering_radius(self) -> "Problem":
+        """The problem with distances from the points on meshes, from which no covering radius is subtracted."""
+        if not any(each.covering_radius_m for each in self.obstacles):
+            return self
+        others = tuple(each.without_covering_radius for each in self.other_obstacles)
+        return replace(self, workpiece=replace(self.workpiece, covering_radius_m=0.0), other_obstacles=others, checkers=())
+
+    @cached_property
     def devices(self) -> list[jax.Device]:
         """All CPUs or all GPUs of the execution."""
         return compute_devices.choose(self.execution.device)

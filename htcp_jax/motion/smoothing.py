@@ -170,6 +170,7 @@ class Smoothing:
             for path, cost in zip(going, before, strict=True):
                 path.slow = path.slow + 1 if cost - self._cost(path.x) < GAIN * cost else 0
                 path.rounds += 1
+                path.seen = None if path.done else path.seen  # which would keep tables of all paths in memory
             self._problem.progress(0, sum(path.done for path in going))
 
     def _cost(self, x: np.ndarray) -> float:
@@ -278,7 +279,7 @@ class Smoothing:
         flat = jax.tree.map(lambda table: table.reshape(2 * count, *table.shape[2:]), linear)
         rows = self._checker.executor.task.own_rows(self._checker.executor(TASK_ROWS, inputs, flat))
         rows = jax.tree.map(lambda table: table.reshape(count, 2, *table.shape[1:]), rows)
-        return [tables.gather(rows, own) for own in _split_by_path(np.arange(count), paths)]
+        return [tables.gather(rows, own) for own in _rows_of_each(paths)]
 
     def _candidates(self, steps: list[tuple[SmoothedPath, np.ndarray, Candidate]]) -> list[Candidate]:
         """Return each path after a step.
@@ -300,10 +301,9 @@ class Smoothing:
             segments = tables.concatenate([path.segments(at) for path, at in zip(paths, x, strict=True)])
             between = new[:, 1]
             proven = tables.scatter(proven, between, self._motions(tables.gather(segments, between), GRAZES))
-        rows = _split_by_path(np.arange(len(new)), paths)
         return [
             Candidate(step, at, *tables.gather((seen, good, proven), own))
-            for (_, step, _), at, own in zip(steps, x, rows, strict=True)
+            for (_, step, _), at, own in zip(steps, x, _rows_of_each(paths), strict=True)
         ]
 
     def _rejected(self, path: SmoothedPath, candidate: Candidate) -> Bool[np.ndarray, "P"]:
@@ -321,7 +321,7 @@ class Smoothing:
             everywhere = np.ones((sum(len(path.target) for path in paths), 2), bool)
             seen = self._states(paths, [path.x for path in paths], everywhere)
             seen = jax.tree.map(lambda table: table.reshape(-1, 2, *table.shape[1:]), seen)
-            for path, rows in zip(paths, _split_by_path(np.arange(len(everywhere)), paths), strict=True):
+            for path, rows in zip(paths, _rows_of_each(paths), strict=True):
                 path.seen = tables.gather(seen, rows)
 
     def _settled(
@@ -342,7 +342,7 @@ class Smoothing:
             x[off] = self._checker.project(tables.gather(inputs, off), x[off])
         return [
             np.concatenate([own[:1] if path.begins_anywhere else path.x[:1], own])
-            for path, own in zip(paths, _split_by_path(x, paths), strict=True)
+            for path, own in zip(paths, (x[rows] for rows in _rows_of_each(paths)), strict=True)
         ]
 
     def _states(self, paths: list[SmoothedPath], x: list[np.ndarray], rows: Bool[np.ndarray, "n 2"]) -> State:
@@ -391,8 +391,10 @@ def _differing(path: SmoothedPath, step: Float[np.ndarray, "P N"], last: Candida
     return np.stack([differs, differs | before], axis=1)
 
 
-def _split_by_path(table: np.ndarray, paths: list[SmoothedPath]) -> list[np.ndarray]:
-    return np.split(table, np.cumsum([len(path.target) for path in paths])[:-1])
+def _rows_of_each(paths: list[SmoothedPath]) -> list[slice]:
+    """Return the rows of each path in tables of all paths' configurations; as slices, of which no copies are made."""
+    ends = np.cumsum([len(path.target) for path in paths]).tolist()
+    return [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
 
 def _written(problem: Problem, plans: Plans, paths: list[SmoothedPath]) -> Plans:

@@ -238,15 +238,15 @@ def prove_file(
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
         # Of a proven motion, the bodies at its guaranteed clearance are named.
         smallest = [int(proof.clearance_m.argmin())] if proof.proven and np.isfinite(proof.guaranteed_m) else []
-        start = _first_refuted(proof)
+        start, measured = _first_refuted(proof), problem if proof.proven else problem.without_covering_radius
         chosen = smallest or sorted({*unproven[:MOST_CONTACTS].tolist(), *([] if start is None else [start])})
-        contacts = deepest_contacts(problem, curves, chosen, lambda done, count: progress("contacts", done, count))
+        contacts = deepest_contacts(measured, curves, chosen, lambda done, count: progress("contacts", done, count))
         contacts_by = {each.segment: each for each in contacts}
         first = None
         if start is not None:
             required = float(np.broadcast_to(margins, len(proof.verdict))[start])
             limit_m = 0.0 if proof.verdict[start] == SegmentStatus.IN_COLLISION else required
-            first = first_contact(problem, curves, start, limit_m) or contacts_by[start]
+            first = first_contact(measured, curves, start, limit_m) or contacts_by[start]
         x = np.vstack([curves.coefficients[:, 0], curves.coefficients[-1].sum(axis=0)])
         measured_m = np.full(len(x), np.nan)
         rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), MOST_MEASURED)).round().astype(int))

@@ -86,7 +86,7 @@ def prove_program(
         unproven = np.flatnonzero(proof.verdict != SegmentStatus.VALID)
         refuted = unproven[proof.verdict[unproven] != SegmentStatus.UNDECIDED]
         first = (refuted if len(refuted) else unproven)[:1].tolist()
-        contact = deepest_contact(problem, curves, first[0]) if first else None
+        contact = deepest_contact(problem.without_covering_radius, curves, first[0]) if first else None
     return ProgramProof(motion, proof, contact, time.perf_counter() - began)
 
 

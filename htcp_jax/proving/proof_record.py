@@ -198,12 +198,9 @@ def _contact_text(found: FileProof, segment: int) -> str:
     """Return the deepest contact on an unproven segment, and the cause if it is undecided."""
     assert found.proof is not None
     contact, cause = found.contacts[segment], UndecidedCause(int(found.proof.cause[segment])).message
-    cause = f"; {cause}" if cause else ""
-    if contact.clearance_m <= 0:
-        return f"{contact.body} is {contact.depth} inside {contact.other}{cause}"
-    is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN
+    is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN and contact.clearance_m > 0
     less = f", less than the margin of {mm_text(found.required_m(segment))}" if is_near else ""
-    return f"{contact.body} is {mm_text(contact.clearance_m)} from {contact.other}{less}{cause}"
+    return f"{contact.text}{less}{f'; {cause}' if cause else ''}"
 
 
 def _where(found: FileProof, segment: int, share: float | None = None) -> str:

@@ -55,14 +55,26 @@ class MotionProof:
         return np.asarray((self.verdict == SegmentStatus.VALID).all(axis=-1))
 
     @property
+    def is_refuted(self) -> Bool[np.ndarray, "*M m"]:
+        """True for refuted segments."""
+        return ~np.isin(self.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
+
+    @property
     def refuted(self) -> Bool[np.ndarray, "*M"]:
         """True for motions of which a segment is refuted."""
-        return np.asarray(~np.isin(self.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED)).all(axis=-1))
+        return np.asarray(self.is_refuted.any(axis=-1))
 
     @property
     def guaranteed_m(self) -> Float[np.ndarray, "*M"]:
         """Guaranteed clearance of each motion [m]; NaN if it is not proven, infinite without obstacles."""
         return np.asarray(self.clearance_m.min(axis=-1, initial=np.inf))
+
+    def with_rows(self, rows: Int[np.ndarray, "k"], **changes: np.ndarray) -> "MotionProof":
+        """Return one motion's proof with other values of some fields in some rows."""
+        new = {name: getattr(self, name).copy() for name in changes}
+        for name, values in changes.items():
+            new[name][rows] = values
+        return replace(self, **new)
 
 
 def prove(
@@ -172,12 +184,13 @@ def prove_within(
     if not lag.any() or not len(undecided):
         return found
     exact = prove_curves(problem, curves.of_segments(undecided), margin_m=_margins_at(margin_m, undecided), kept=kept)
-    refuted = ~np.isin(exact.verdict, (SegmentStatus.VALID, SegmentStatus.UNDECIDED))
-    verdict, place, queries, cause = (each.copy() for each in (found.verdict, found.place, found.queries, found.cause))
-    verdict[undecided[refuted]], place[undecided[refuted]] = exact.verdict[refuted], exact.place[refuted]
-    queries[undecided] += exact.queries
-    cause[undecided] = np.where(exact.verdict == SegmentStatus.VALID, int(UndecidedCause.TRACKING), exact.cause)
-    return MotionProof(verdict, found.clearance_m, place, queries, cause)
+    return found.with_rows(
+        undecided,
+        verdict=np.where(exact.is_refuted, exact.verdict, found.verdict[undecided]),
+        place=np.where(exact.is_refuted, exact.place, found.place[undecided]),
+        queries=found.queries[undecided] + exact.queries,
+        cause=np.where(exact.verdict == SegmentStatus.VALID, int(UndecidedCause.TRACKING), exact.cause),
+    )
 
 
 def tighten(
@@ -235,6 +248,9 @@ def prove_curves(
 ) -> MotionProof:
     """Prove or refute that joint paths are clear in a problem's first scenario; one verdict per segment.
 
+    Distances from a mesh are those from points on it, less their covering radius. These distances prove; those from the
+    points refute.
+
     Args:
         problem: The problem, see `scene_of`.
         curves: The joint paths.
@@ -242,6 +258,29 @@ def prove_curves(
         kept: See `prove`.
         progress: Function that is called with the numbers of paths proven so far, and of all paths.
     """
+    found = _proven(problem, curves, margin_m, kept, progress)
+    refuted = np.flatnonzero(found.is_refuted)
+    if not len(refuted) or (of_points := problem.without_covering_radius) is problem:
+        return found
+    again = _proven(of_points, curves.of_segments(refuted), _margins_at(margin_m, refuted), kept)
+    proven = again.verdict == SegmentStatus.VALID
+    return found.with_rows(
+        refuted,
+        verdict=np.where(proven, int(SegmentStatus.UNDECIDED), again.verdict),
+        place=np.where(proven, found.place[refuted], again.place),
+        queries=found.queries[refuted] + again.queries,
+        cause=np.where(proven, int(UndecidedCause.MESH_POINTS), again.cause),
+    )
+
+
+def _proven(
+    problem: Problem,
+    curves: JointCurves,
+    margin_m: Margins,
+    kept: float,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+) -> MotionProof:
+    """Return the verdicts by the problem's distances, see `prove_curves`."""
     done, count = 0, len(curves.segment)
     if not count:
         empty = np.zeros(0)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from htcp_jax.errors import mm_text
 from htcp_jax.motion import Problem, start_cause
 from htcp_jax.proving.curves import JointCurves
 
@@ -32,6 +33,12 @@ class Contact(NamedTuple):
     def depth(self) -> str:
         """The depth as text."""
         return f"{'at most ' if self.is_capsule else ''}{-1e3 * self.clearance_m:.3g} mm"
+
+    @property
+    def text(self) -> str:
+        """The bodies, and the depth or the distance, as text."""
+        apart = f"{self.depth} inside" if self.clearance_m <= 0 else f"{mm_text(self.clearance_m)} from"
+        return f"{self.body} is {apart} {self.other}"
 
     @property
     def at(self) -> str:

@@ -5,7 +5,7 @@ the mesh. The nearest point is found once and then fixed. The gradient is theref
 exact wherever D is differentiable, and one of the one-sided gradients elsewhere.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,11 @@ class Cloud(Obstacle):
     def covering_radius_m(self) -> float:
         """Covering radius of the points, which is subtracted from every distance [m]."""
         return float(self.cover)
+
+    @property
+    def without_covering_radius(self) -> "Cloud":
+        """The points alone."""
+        return replace(self, cover=jax.device_put(np.zeros(())))
 
     def __repr__(self) -> str:
         return f"Cloud({self.count} points)"

@@ -238,6 +238,11 @@ class Obstacle:
         """Length that is subtracted from every distance, for the gaps between points that stand for a mesh [m]."""
         return 0.0
 
+    @property
+    def without_covering_radius(self) -> "Obstacle":
+        """The obstacle with distances from the points themselves, which a mesh's distances do not exceed."""
+        return self
+
 
 Obstacles = tuple[Obstacle, ...]
 

@@ -85,6 +85,11 @@ class PlacedCloud(Obstacle):
         return self.cloud.covering_radius_m
 
     @property
+    def without_covering_radius(self) -> "PlacedCloud":
+        """The points alone."""
+        return dataclasses.replace(self, cloud=self.cloud.without_covering_radius)
+
+    @property
     def names(self) -> tuple[str]:
         """The cloud's name, as a tuple."""
         return (self.name,)

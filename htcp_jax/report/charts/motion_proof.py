@@ -31,7 +31,7 @@ def proof_chart(found: FileProof) -> Figure:
 
     The upper panel shows the lower bound of the clearance that is proven for each segment, and the clearance that is
     measured at single configurations, over time, or over the segments' numbers if the file has no times; segments
-    that are not proven are shaded. The lower panel shows how deep the bodies are in collision there.
+    that are not proven are shaded. The lower panel shows the bodies' distance, or depth in collision, there.
 
     Args:
         found: The proof; its file has joint values.
@@ -101,7 +101,7 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
 
 
 def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]) -> None:
-    """Draw the depth of the deepest contacts, with a marker for each pair of bodies."""
+    """Draw the distance of the bodies at the deepest contacts, below 0 in collision, with a marker for each pair of bodies."""
     assert found.proof is not None
     contacts = [
         each for group in proof_record.unproven_groups(found) for each in proof_record.worst_pairs(found, group)
@@ -110,19 +110,19 @@ def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]
     for each in contacts:
         named.setdefault((each.link, each.other), each.body)
     marks = dict(zip(named, MARKS, strict=False))
-    depths = [0.0]
+    distances = [0.0]
     for contact in (*found.contacts.values(), *contacts):
         begin, end = edges[contact.segment : contact.segment + 2]
-        at, depth = begin + contact.place * (end - begin), -1e3 * contact.clearance_m
+        at, distance = begin + contact.place * (end - begin), 1e3 * contact.clearance_m
         colour = COLOURS.get(SegmentStatus(int(found.proof.verdict[contact.segment])), REFUTED)
-        axes.vlines(at, 0, depth, color=colour, linewidth=1.4)
+        axes.vlines(at, 0, distance, color=colour, linewidth=1.4)
         mark = marks.get((contact.link, contact.other), OTHER)
-        axes.scatter(at, depth, c=colour, marker=mark, s=26, zorder=3, clip_on=False)
-        depths.append(depth)
+        axes.scatter(at, distance, c=colour, marker=mark, s=26, zorder=3, clip_on=False)
+        distances.append(distance)
     axes.axhline(0, color=QUIET, linewidth=0.9)
-    axes.set_ylabel("depth [mm]")
+    axes.set_ylabel("distance [mm]\nbelow 0: depth")
     plain_axes(axes)
-    low, high = min(depths), max(depths)
+    low, high = min(distances), max(distances)
     room = 0.12 * (high - low or 1.0)
     axes.set_ylim(low - room, high + room)
     handles = [
