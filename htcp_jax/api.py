@@ -180,7 +180,8 @@ class Plan:
         plans = self.plans
         here = np.flatnonzero(plans.executable[0] & (plans.segment_status[0] == SegmentStatus.REDUCED_MARGIN))
         found = [f"at least {1e3 * plans.segment_clearance[0, t]:.3g} mm on the segment to target {t}" for t in here]
-        required = f"; required: {1e3 * self.job.transfer_margin_m:g} mm, less near the ends"
+        most_mm, within_mm = 1e3 * self.job.transfer_margin_m, 1e3 * self.job.transfer_falloff_m
+        required = f"; required: {most_mm:g} mm, less within {within_mm:g} mm of both ends of an air move"
         return {"transfer margin": ", ".join(found) + required} if found else {}
 
     def _way_back(self) -> dict[str, str]:

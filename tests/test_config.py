@@ -67,6 +67,7 @@ def test_files_are_relative_to_the_yaml_file_and_to_the_working_folder_in_an_ove
         ("margin=0.1", "unknown key margin; did you mean margin_m?"),
         ("settings.alpha=0.1", "unknown key settings.alpha; did you mean settings.alpha_rad?"),
         ("zzz=1", "unknown key zzz; valid: robot, positioner"),
+        ("settings.margin_m=0.1", "unknown key settings.margin_m; did you mean margin_m?"),
         ("near_part_speed=0.5", "unknown key near_part_speed; did you mean program.near_part_speed?"),
         ("method=a_b", "method: 'a_b' is not a method; names consist of lower-case letters, digits and hyphens"),
         ("settings.tolerance_m=0", "settings.tolerance_m is 0: at least 1e-15 is needed"),

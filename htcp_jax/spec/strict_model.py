@@ -3,7 +3,7 @@
 import copy
 import difflib
 import reprlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import islice
@@ -71,18 +71,19 @@ def refuse_unknown(raw: dict, model: Any, source: str, prefix: str = "") -> None
     Raises:
         InputError: If keys are unknown, or values are true or false instead of a number. The message has at most MOST.
     """
-    if found := list(islice(_unknown(raw, model, prefix), MOST)):
+    if found := list(islice(_unknown(raw, model, prefix, () if prefix else _keys_of(model)), MOST)):
         raise InputError(f"{source}: {'; '.join(found)}")
 
 
-def _unknown(raw: dict, model: Any, prefix: str) -> Iterator[str]:
-    """Yield what is wrong with each key, see `refuse_unknown`."""
+def _unknown(raw: dict, model: Any, prefix: str, outermost: Collection[str]) -> Iterator[str]:
+    """Yield what is wrong with each key, see `refuse_unknown`; `outermost` are the keys of the complete mapping."""
     keys = _keys_of(model)
     for name, value in list(raw.items()):
         key = keys.get(name)
         if key is None:
             close = _in_sections(name, keys) or difflib.get_close_matches(str(name), keys, n=1, cutoff=0.5)
-            hint = f"did you mean {prefix}{close[0]}?" if close else f"valid: {', '.join(keys)}"
+            meant = name if name in outermost else f"{prefix}{close[0]}" if close else ""
+            hint = f"did you mean {meant}?" if meant else f"valid: {', '.join(keys)}"
             yield f"unknown key {prefix}{name}; {hint}"
             continue
         if value is None and key.is_section:
@@ -94,7 +95,7 @@ def _unknown(raw: dict, model: Any, prefix: str) -> Iterator[str]:
                 items = value.items()
             for k, item in items:
                 if isinstance(item, dict) and KIND not in item:
-                    yield from _unknown(item, section, f"{prefix}{name}." + ("" if k is None else f"{k}."))
+                    yield from _unknown(item, section, f"{prefix}{name}." + ("" if k is None else f"{k}."), outermost)
         if not key.sections and not key.is_truth and any(isinstance(item, bool) for item in _items(value)):
             yield f"{prefix}{name} is {reprlib.repr(value)}; it must be a number, not true or false"
 
