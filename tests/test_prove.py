@@ -100,7 +100,7 @@ def test_a_motion_that_grazes_an_obstacle_by_a_millionth_of_a_mm_is_undecided_at
 
 def test_a_motion_that_only_the_gaps_between_points_on_a_mesh_refute_is_undecided(job, tmp_path):
     """A plate with its top at z = 0; its points are up to 8 mm from any place on it."""
-    plate = trimesh.creation.box((0.2, 0.4, 0.02), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.01], [0, 0, 0, 1]]))
+    plate = trimesh.creation.box(bounds=[[-0.1, -0.2, -0.02], [0.1, 0.2, 0.0]])
     plate.export(tmp_path / "plate.stl")
     (tmp_path / "path.csv").write_text("x,y,z\n0,0,0\n0.01,0,0\n")
     pose = {"neutral_translation_m": [0, 0, 0], "pivot_m": [0, 0, 0], "rotation_y_rad": 0, "rotation_z_rad": 0}

@@ -190,8 +190,8 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
     workpiece = found.scene.problem.workpiece
     if found.proof is not None and workpiece.covering_radius_m:
         least_m = float(found.guaranteed_m) if found.proof.proven else 0.0
-        as_above = "" if found.proof.proven else ", as the distances above; for a proof"
-        facts["measured"] = f"to points on the part's mesh{as_above or ';'} {failure_texts.subtracted(workpiece, least_m)}"
+        as_above = ";" if found.proof.proven else ", as the distances above; for a proof"
+        facts["measured"] = f"to points on the part's mesh{as_above} {failure_texts.subtracted(workpiece, least_m)}"
     if found.seams:
         facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():

@@ -163,7 +163,8 @@ class Problem:
         if not any(each.covering_radius_m for each in self.obstacles):
             return self
         others = tuple(each.without_covering_radius for each in self.other_obstacles)
-        return replace(self, workpiece=replace(self.workpiece, covering_radius_m=0.0), other_obstacles=others, checkers=())
+        workpiece = replace(self.workpiece, covering_radius_m=0.0)
+        return replace(self, workpiece=workpiece, other_obstacles=others, checkers=())
 
     @cached_property
     def devices(self) -> list[jax.Device]:

@@ -21,6 +21,7 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
+from htcp_jax.errors import mm_text
 from htcp_jax.model import Robot, Scenario, Workpiece, kinematics, surface
 from htcp_jax.motion import Plans
 from htcp_jax.motion import plans as plan_arrays
@@ -460,6 +461,8 @@ def _heading(axes: Axes, text: str) -> None:
 def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> None:
     """Draw the clearance over the target index, on a logarithmic scale to resolve small values.
 
+    The heading has the smallest guaranteed clearance on segments off the path, if it is known.
+
     Args:
         axes: The axes.
         plans: The plans.
@@ -488,4 +491,7 @@ def draw_clearance(axes: Axes, plans: Plans, row: int, scenario: Scenario) -> No
     axes.grid(axis="y", color="#dfe3e6", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    _heading(axes, "Clearance along the path [mm], logarithmic")
+    off_path = plans.executable[row] & ((index <= int(scenario.on_path)) | plans.begins_seam)
+    known = plans.segment_clearance[row, off_path & np.isfinite(plans.segment_clearance[row])]
+    air = f"; off the path at least {mm_text(known.min())}" if known.size else ""
+    _heading(axes, f"Clearance along the path [mm], logarithmic{air}")

@@ -101,7 +101,7 @@ def _draw_clearance(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"
 
 
 def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]) -> None:
-    """Draw the distance of the bodies at the deepest contacts, below 0 in collision, with a marker for each pair of bodies."""
+    """Draw the distances at the deepest contacts, below 0 in collision, with a marker for each pair of bodies."""
     assert found.proof is not None
     contacts = [
         each for group in proof_record.unproven_groups(found) for each in proof_record.worst_pairs(found, group)
