@@ -31,6 +31,7 @@ class Intervals(NamedTuple):
     whole: Int[np.ndarray, "n"]  # number of steps of the path, the unit of `begin` and `end`
     begin: Int[np.ndarray, "n"]
     end: Int[np.ndarray, "n"]
+    tips: Float[np.ndarray, "n 2 2 3"]  # both ends of the tip at `begin` and at `end` [m]
 
 
 class TipMotions:
@@ -54,7 +55,7 @@ class TipMotions:
     def passing(self) -> Int[np.ndarray, "k"]:
         """Return the paths on which the tip passes through a wall."""
         path = np.arange(len(self._a))
-        now, near = Intervals(path, np.full_like(path, PLACES), path * 0, np.full_like(path, PLACES)), None
+        now, near = self._intervals(path, np.full_like(path, PLACES), path * 0, np.full_like(path, PLACES)), None
         for parts in PARTS:
             now, near = self._divided(now, near, parts)
             if not len(now.path):
@@ -63,7 +64,7 @@ class TipMotions:
         rest = ~np.isin(now.path, found) & (self._steps[now.path] > PLACES)
         now, near = tables.gather(now, rest), near.only(rest)
         steps = self._steps[now.path]
-        now = Intervals(now.path, steps, now.begin * steps // PLACES, -(-now.end * steps // PLACES))
+        now = self._intervals(now.path, steps, now.begin * steps // PLACES, -(-now.end * steps // PLACES))
         while (now.end - now.begin).max(initial=0) > FEW:
             now, near = self._divided(now, near, FEW)
         return np.append(found, self._passing_in(now, near))
@@ -71,17 +72,29 @@ class TipMotions:
     def _divided(self, now: Intervals, near: NearWalls | None, parts: int) -> tuple[Intervals, NearWalls]:
         """Return the parts of intervals in which the tip may pass through a wall, and these walls."""
         place = now.begin[:, None] + (now.end - now.begin)[:, None] * np.arange(parts + 1) // parts
-        tips = self._tips(now.path.repeat(parts + 1), place.ravel(), now.whole.repeat(parts + 1))
-        tips = tips.reshape(-1, parts + 1, 2, 3)
+        within = self._tips(now.path.repeat(parts - 1), place[:, 1:-1].ravel(), now.whole.repeat(parts - 1))
+        within = within.reshape(len(place), parts - 1, 2, 3)
+        tips = np.concatenate([now.tips[:, :1], within, now.tips[:, 1:]], axis=1)
         tips = np.stack([tips[:, :-1], tips[:, 1:]], axis=2).reshape(-1, 2, 2, 3)  # at both ends of each part
         path, whole = now.path.repeat(parts), now.whole.repeat(parts)
-        now = Intervals(path, whole, place[:, :-1].ravel(), place[:, 1:].ravel())
+        now = Intervals(path, whole, place[:, :-1].ravel(), place[:, 1:].ravel(), tips)
         away = self._bulge_m[path] * ((now.end - now.begin) / whole) ** 2
         near = near and near.each(np.full(len(place), parts))
         near = self._guard.near_walls(tips, away, self._is_rigid, near)
         is_open = np.zeros(len(path), bool)
         is_open[near.tip] = True
         return tables.gather(now, is_open), near.only(is_open)
+
+    def _intervals(
+        self,
+        path: Int[np.ndarray, "n"],
+        whole: Int[np.ndarray, "n"],
+        begin: Int[np.ndarray, "n"],
+        end: Int[np.ndarray, "n"],
+    ) -> Intervals:
+        """Return intervals with the tips at both ends."""
+        tips = self._tips(path.repeat(2), np.stack([begin, end], axis=1).ravel(), whole.repeat(2))
+        return Intervals(path, whole, begin, end, tips.reshape(-1, 2, 2, 3))
 
     def _passing_in(self, now: Intervals, near: NearWalls) -> Int[np.ndarray, "k"]:
         """Return the paths on which the tip passes through a wall at a place in an interval, but the path's ends."""
