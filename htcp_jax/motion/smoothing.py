@@ -52,6 +52,7 @@ class SmoothedPath:
     seen: State | None = None  # at each configuration and half way to it: (P, 2, ...)
     slow: int = field(default=0)  # number of consecutive rounds with almost no saving
     rounds: int = 0  # number of rounds so far
+    cost: float | None = None  # of x; None: not known
 
     @classmethod
     def of(cls, problem: Problem, plans: Plans, end: Outcome) -> "SmoothedPath":
@@ -102,7 +103,7 @@ class SmoothedPath:
         self.target, self.is_via_point, self.radius = (
             a[~dropped] for a in (self.target, self.is_via_point, self.radius)
         )
-        self.seen = None
+        self.seen = self.cost = None
 
 
 class Candidate(NamedTuple):
@@ -165,16 +166,19 @@ class Smoothing:
         while going := [path for path in paths if not path.done]:
             self._drop(going)
             self._look([path for path in going if path.seen is None])
-            before = [self._cost(path.x) for path in going]
+            before = [self._cost(path) for path in going]
             self._round(going)
             for path, cost in zip(going, before, strict=True):
-                path.slow = path.slow + 1 if cost - self._cost(path.x) < GAIN * cost else 0
+                path.slow = path.slow + 1 if cost - self._cost(path) < GAIN * cost else 0
                 path.rounds += 1
                 path.seen = None if path.done else path.seen  # which would keep tables of all paths in memory
             self._problem.progress(0, sum(path.done for path in going))
 
-    def _cost(self, x: np.ndarray) -> float:
-        return path_cost(x, self._weights)
+    def _cost(self, path: SmoothedPath) -> float:
+        """Return the cost of a path, which is computed once for each iterate."""
+        if path.cost is None:
+            path.cost = path_cost(path.x, self._weights)
+        return path.cost
 
     def _drop(self, paths: list[SmoothedPath]) -> None:
         """Drop via points if the straight segment without them is a motion."""
@@ -207,8 +211,8 @@ class Smoothing:
                     stays = np.flatnonzero(bad | (share == 0))
                     apart = np.abs(np.arange(len(bad))[:, None] - stays).min(axis=1)
                     again.append((path, y, np.clip((apart - attempt) / NEIGHBOURS, 0.0, 1.0), candidate))
-                elif self._cost(candidate.x) < self._cost(path.x):
-                    path.x, path.seen = candidate.x, candidate.seen
+                elif (cost := path_cost(candidate.x, self._weights)) < self._cost(path):
+                    path.x, path.seen, path.cost = candidate.x, candidate.seen, cost
             if not (tries := again):
                 return
 
