@@ -236,7 +236,7 @@ class Executor:
         self._given, self._settings = scene, settings
         # On a GPU a rule that is never broken would cost further launches.
         known = scene._replace(obstacles=with_interior(scene.obstacles)) if self.pays_by_lane else scene
-        self._scene = jax.device_put(known.for_programs(), self.device)
+        self._scene = jax.device_put(known.for_programs(closely=not self.pays_by_lane), self.device)
         self._for_either = self._scene._replace(task=self._scene.task.for_either)
         self._executables, self._own = executables, {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 and self.pays_by_lane else None

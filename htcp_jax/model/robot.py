@@ -217,17 +217,18 @@ def carrier_of(robot: Robot, name: str) -> ArmFrame:
     return known[name]
 
 
-def for_programs(robot: Robot) -> Robot:
+def for_programs(robot: Robot, closely: bool = False) -> Robot:
     """Return a robot whose structure is data in compiled functions, with padding up to one of few numbers of bodies.
 
     Padding is the first body again, with the radius -FAR_M, so that it is far from everything.
 
     Args:
         robot: A robot without labels in which no joint follows another.
+        closely: True for little padding.
     """
-    bodies = len(robot.capsule_link)
-    count = -(-bodies // BODIES) * BODIES
-    count = max(count, MORE_BODIES) if robot.dof > 6 and bodies > BODIES else count
+    bodies, step = len(robot.capsule_link), BODIES // 2 if closely else BODIES
+    count = -(-bodies // step) * step
+    count = max(count, MORE_BODIES) if robot.dof > 6 and bodies > BODIES and not closely else count
     is_body = np.arange(count) < bodies
     taken = np.where(is_body, np.arange(count), 0)
     p, q, radius, on_tool = (

@@ -83,7 +83,7 @@ class Fixtures(Obstacle):
             return super().any_below(robot, where, bodies, limit_m)
         return jnp.min(self._nearest(bodies.p, bodies.q, robot.capsule_radius, limit_m).distance)
 
-    def for_programs(self, robot: Robot, bodies: int) -> "Fixtures":
+    def for_programs(self, robot: Robot, bodies: int, closely: bool) -> "Fixtures":
         """Return the obstacle with padding up to a number of bodies, which is not checked."""
         more = bodies - self.is_checked.shape[1]
         padded = np.pad(np.asarray(self.is_checked), ((0, 0), (0, more)))
@@ -171,9 +171,13 @@ class _Row(NamedTuple):
 
 
 def _padded(named: list[tuple[str, Solid]]) -> list[_Row]:
-    """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code."""
+    """Return solids of one kind as rows, padded to one of few lengths, so that most cells share compiled code.
+
+    On a CPU padding is skipped, so there are fewer lengths.
+    """
     rows = [_Row(*each) for each in named]
-    return rows + [_Row("", rows[-1].solid, False)] * (table_size(len(rows), 4, 4) - len(rows)) if rows else []
+    length = table_size(len(rows), 4, 4 if backend().is_cpu else 2)
+    return rows + [_Row("", rows[-1].solid, False)] * (length - len(rows)) if rows else []
 
 
 def _axis_distances(robot: Robot, body: int, rows: list[_Row]) -> Float[np.ndarray, "G"]:

@@ -212,12 +212,13 @@ class Obstacle:
         """Return True if a body certainly has less clearance than the margin of `where`; False if this is not known."""
         return jnp.zeros((), bool)
 
-    def for_programs(self, robot: Robot, bodies: int) -> "Obstacle":
+    def for_programs(self, robot: Robot, bodies: int, closely: bool) -> "Obstacle":
         """Return the obstacle as compiled functions take it, see `Scene.for_programs`.
 
         Args:
             robot: The robot, without padding.
             bodies: Number of bodies with padding.
+            closely: True for little padding.
         """
         return self
 
@@ -294,18 +295,22 @@ class Scene(NamedTuple):
         """Both sides of each row of clearance, see `RowPairs`."""
         return rows_of(self.robot, self.obstacles)
 
-    def for_programs(self) -> "Scene":
+    def for_programs(self, closely: bool = False) -> "Scene":
         """Return the scene as compiled functions take it: without labels, and with the arm's structure as data.
 
         The number of bodies and that of pairs are padded to one of few, so that most arms with the same number of
         joints share executables. An arm in which joints follow others is not changed.
+
+        Args:
+            closely: True for little padding, so that calls are faster, but fewer arms share executables.
         """
         own = self.without_labels()
         if own.robot.coupling is not None:
             return own
-        robot = robots.for_programs(own.robot)
+        robot = robots.for_programs(own.robot, closely)
         count = len(robot.capsule_link)
-        return own._replace(robot=robot, obstacles=tuple(each.for_programs(own.robot, count) for each in own.obstacles))
+        obstacles = tuple(each.for_programs(own.robot, count, closely) for each in own.obstacles)
+        return own._replace(robot=robot, obstacles=obstacles)
 
     def rows_within(self, padded: "Scene") -> Int[np.ndarray, "R"]:
         """Return the indices of the scene's rows among those of the same scene with padding, see `for_programs`."""

@@ -38,6 +38,7 @@ from htcp_jax.pytree import LABEL, register_pytree
 from htcp_jax.types import Anywhere, Array, Bool, Float, Int, Scalar
 
 FEW_PAIRS = 128  # number of pairs up to which the contacts of all pairs are computed
+CLOSE = 16  # numbers of pairs and of rows are padded to a multiple of this number, if they are padded closely
 USUAL = 0.99  # a start is refused if an excluded pair overlaps more than in this share of random configurations
 RULES = {
     "a": "by the model",
@@ -127,9 +128,10 @@ class SelfCollision(Obstacle):
         """Excluded pairs that could collide."""
         return tuple(each for each in self.excluded if each.rule in COULD_COLLIDE)
 
-    def for_programs(self, robot: Robot, bodies: int) -> "SelfCollision":
+    def for_programs(self, robot: Robot, bodies: int, closely: bool) -> "SelfCollision":
         """Return the obstacle with its pairs as data."""
-        return SelfCollision((), table=self.table_of(robot).padded(bodies))
+        table = self.table_of(robot)
+        return SelfCollision((), table=table.padded(table.close_sizes if closely else table.sizes(bodies)))
 
     def table_of(self, robot: Robot) -> "PairTable":
         """Return the pairs and the rows as arrays."""
@@ -166,15 +168,24 @@ class PairTable(NamedTuple):
             is_row=np.ones(len(self.body), bool) if self.is_row is None else self.is_row,
         )
 
-    def padded(self, bodies: int) -> "PairTable":
-        """Return the table with one of few sizes, which are at least those of usual arms with this many bodies."""
-        pairs, rows = len(self.first), len(self.body)
-        sizes = next(
+    @property
+    def close_sizes(self) -> tuple[int, int, int]:
+        """Numbers of pairs, of rows, and of pairs in a row; the first two rounded up."""
+        pairs, rows = (-(-len(each) // CLOSE) * CLOSE for each in (self.first, self.body))
+        return pairs, rows, self.numbers.shape[1]
+
+    def sizes(self, bodies: int) -> tuple[int, int, int]:
+        """Return one of few sizes, as `close_sizes`: at least those of usual arms with this many bodies."""
+        return next(
             each
             for k, each in enumerate(_sizes(), 1)
             if k * robots.BODIES >= min(bodies, robots.MORE_BODIES)
-            and all(a <= b for a, b in zip((pairs, *self.numbers.shape), each, strict=True))
+            and all(a <= b for a, b in zip((len(self.first), *self.numbers.shape), each, strict=True))
         )
+
+    def padded(self, sizes: tuple[int, int, int]) -> "PairTable":
+        """Return the table with these numbers of pairs, of rows, and of pairs in a row."""
+        pairs, rows = len(self.first), len(self.body)
         numbers = with_repeated(with_repeated(self.numbers, sizes[1]).T, sizes[2]).T
         of_pairs, of_rows = (
             [with_repeated(each, size) for each in own] for own, size in zip((self[:3], self[3:5]), sizes, strict=False)
