@@ -5,6 +5,8 @@ x = 0.213 m has a slot of 3 mm at z = 0, and a ball of 0.3 mm hangs at z = 0.5 m
 motion along x.
 """
 
+import re
+
 import jax
 import made_once
 import numpy as np
@@ -17,6 +19,7 @@ from htcp_jax.errors import InputError
 from htcp_jax.motion.motion_check import clearance_along
 from htcp_jax.proving import JointCurves, MotionProof, corners, prove_curves, scene_of, straight
 from htcp_jax.proving.prove import prove_within, tighten
+from htcp_jax.proving.worst import deepest_contact
 from htcp_jax.status import SegmentStatus, UndecidedCause
 
 VALID, IN_COLLISION, UNDECIDED = SegmentStatus.VALID, SegmentStatus.IN_COLLISION, SegmentStatus.UNDECIDED
@@ -98,16 +101,32 @@ def test_a_motion_that_grazes_an_obstacle_by_a_millionth_of_a_mm_is_undecided_at
     assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.SUBDIVISION]
 
 
-def test_a_motion_that_only_the_gaps_between_points_on_a_mesh_refute_is_undecided(job, tmp_path):
-    """A plate with its top at z = 0; its points are up to 8 mm from any place on it."""
-    plate = trimesh.creation.box(bounds=[[-0.1, -0.2, -0.02], [0.1, 0.2, 0.0]])
-    plate.export(tmp_path / "plate.stl")
-    (tmp_path / "path.csv").write_text("x,y,z\n0,0,0\n0.01,0,0\n")
+@pytest.fixture(scope="module")
+def with_plate(job, tmp_path_factory) -> dict:
+    """A job with a part: a plate with its top at z = 0; its points are up to 8 mm from any place on it."""
+    folder = tmp_path_factory.mktemp("plate")
+    trimesh.creation.box(bounds=[[-0.1, -0.2, -0.02], [0.1, 0.2, 0.0]]).export(folder / "plate.stl")
+    (folder / "path.csv").write_text("x,y,z\n0,0,0\n0.01,0,0\n")
     pose = {"neutral_translation_m": [0, 0, 0], "pivot_m": [0, 0, 0], "rotation_y_rad": 0, "rotation_z_rad": 0}
-    part = {"cloud": f"{tmp_path}/plate.stl", "unit": "m", "path": f"{tmp_path}/path.csv", "path_unit": "m"}
-    part |= {"interior": "none", "mesh_spacing_m": 0.016, **pose}
+    part = {"cloud": f"{folder}/plate.stl", "unit": "m", "path": f"{folder}/path.csv", "path_unit": "m", **pose}
+    return {**job, "workpiece": part | {"interior": "none", "mesh_spacing_m": 0.016}, "cell": {"self_collision": False}}
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("workpiece.shift_m=[0, 0, 620]", "a target of the part's path is farther away than the arm is long; lengths"),
+        ("workpiece.inlet_m=[0, 0, 105]", "workpiece.inlet_m is 105 m away from the part, which is 0.448 m large; it"),
+    ],
+)
+def test_a_length_in_millimetres_causes_a_warning(with_plate, key, says):
+    with pytest.warns(UserWarning, match="clearance is reduced"), pytest.warns(UserWarning, match=re.escape(says)):
+        scene_of(with_plate, [key])
+
+
+def test_a_motion_that_only_the_gaps_between_points_on_a_mesh_refute_is_undecided(with_plate):
     with pytest.warns(UserWarning, match=r"every clearance is reduced by 7\.81 mm"):
-        cell = scene_of({**job, "workpiece": part, "cell": {"self_collision": False}})
+        cell = scene_of(with_plate)
 
     def along(distance_m: float, margin_m: float = 0.0) -> MotionProof:
         z = distance_m + ROD_M
@@ -118,6 +137,13 @@ def test_a_motion_that_only_the_gaps_between_points_on_a_mesh_refute_is_undecide
     for found in (along(0.003), along(0.006, margin_m=0.005)):
         assert found.verdict.tolist() == [UNDECIDED] and found.cause.tolist() == [UndecidedCause.MESH_POINTS]
     assert along(0.003, margin_m=0.02).verdict.tolist() == [SegmentStatus.BELOW_MARGIN]
+
+    def found_at(distance_m: float) -> str:
+        z, bare = distance_m + ROD_M, cell.problem.without_covering_radius
+        return deepest_contact(bare, straight(np.array([[-0.05, z, 0], [0.05, z, 0]])), 0).text
+
+    assert found_at(0.003) == "capsule rod is at most 3 mm from the workpiece"
+    assert found_at(-0.0005) == "capsule rod is at least 0.5 mm inside the workpiece"
 
 
 def tcp_of(x: np.ndarray) -> np.ndarray:

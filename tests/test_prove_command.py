@@ -103,7 +103,7 @@ def test_the_required_clearance_refutes_a_motion_that_is_nearer(proven, tmp_path
     assert proven(file, "--margin", f"{0.5e3 * clear}mm")[0] == 0
     code, record, printed = proven(file, "--margin", "1m")
     assert code == 1 and record["unproven"][0]["verdict"] == "BELOW_MARGIN"
-    assert "less than the margin of 1e+03 mm" in printed
+    assert "less than the margin of 1000 mm" in printed
 
 
 def test_a_motion_that_only_its_tracking_error_may_lead_into_the_shelf_is_undecided(proven, tracked, tmp_path):

@@ -5,9 +5,11 @@ import time
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.text import Text
 
+from htcp_jax.clearance.obstacles import KEEP_OUT, THE_WORKPIECE
 from htcp_jax.cli.motion_options import Format, Interpolation, Joints, Unit, joint_names
 from htcp_jax.cli.output import (
     Device,
@@ -24,6 +26,7 @@ from htcp_jax.cli.quantities import ANGLES, LENGTHS, quantity
 from htcp_jax.proving import FileProof, IndexedTravel, proof_record, prove_file, seams_text
 from htcp_jax.report import Table, draw_proof
 from htcp_jax.runs import failure_texts
+from htcp_jax.status import UndecidedCause
 from htcp_jax.system import output_files
 
 LISTED = 10  # maximum number of groups of segments on the terminal
@@ -189,9 +192,15 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
         facts["recorded"] = f"the clearance of convex pieces up to {1e3 * found.most_recorded_m:g} mm"
     workpiece = found.scene.problem.workpiece
     if found.proof is not None and workpiece.covering_radius_m:
-        least_m = float(found.guaranteed_m) if found.proof.proven else 0.0
+        least_m = float(found.guaranteed_m) if found.proof.proven else math.inf
         as_above = ";" if found.proof.proven else ", as the distances above; for a proof"
         facts["measured"] = f"to points on the part's mesh{as_above} {failure_texts.subtracted(workpiece, least_m)}"
+    if any(each.other == KEEP_OUT for each in found.contacts.values()):
+        facts["keep-out zone"] = (
+            "outside the part's convex hull, deeper than interior_depth_m behind the inlet: a rule, not a wall; "
+            "--set workpiece.interior=none leaves it out"
+        )
+    facts |= _denser_mesh(found)
     if found.seams:
         facts["on seams"] = seams_text(found.seams, MOST_SEAMS)
     if tracking.any():
@@ -200,7 +209,6 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
         facts["tracking"] = f"joints within {' or '.join(dict.fromkeys(texts))} of the motion"
     if text := proof_record.errors_text(found):
         facts["errors"] = text
-        facts |= _denser_mesh(found)
     for quantity_ in dict.fromkeys(use.quantity for use in found.limits):
         uses = [proof_record.limit_text(use) for use in found.limits if use.quantity == quantity_]
         facts[f"{quantity_} limits" if quantity_ == "position" else quantity_] = "; ".join(uses)
@@ -210,12 +218,19 @@ def _facts(found: FileProof, seconds: float) -> dict[str, str]:
 
 
 def _denser_mesh(found: FileProof) -> dict[str, str]:
-    """Return lines about denser points on the part's mesh, if these limit the scale of the errors below 1."""
-    scale, proof = found.error_scale, found.proof
-    if proof is None or scale is None or scale.segment is None or scale.scale >= 1 or not scale.cover_m:
+    """Return lines about denser points on the part's mesh, if these may decide a segment or the scale of the errors."""
+    scale, proof, workpiece = found.error_scale, found.proof, found.scene.problem.workpiece
+    if proof is None:
+        return {}
+    undecided = [found.contacts[k] for k in np.flatnonzero(proof.cause == UndecidedCause.MESH_POINTS).tolist()
+                 if k in found.contacts and found.contacts[k].other == THE_WORKPIECE]  # fmt: skip
+    if undecided:
+        spare_m = min(each.clearance_m - found.required_m(each.segment) for each in undecided)
+        return failure_texts.denser_mesh(workpiece, workpiece.covering_radius_m - spare_m)
+    if scale is None or scale.segment is None or scale.scale >= 1 or not scale.cover_m:
         return {}
     spare_m = float(proof.clearance_m[scale.segment]) - found.margin_m
-    return failure_texts.denser_mesh(found.scene.problem.workpiece, scale.lack_m(spare_m))
+    return failure_texts.denser_mesh(workpiece, scale.lack_m(spare_m))
 
 
 def _motion_text(found: FileProof) -> str:

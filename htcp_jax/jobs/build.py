@@ -215,6 +215,7 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
         **{name: value for name, value in stated.items() if value is not None},
     )
     workpiece = with_plates_of(part, workpiece)
+    _warn_of_a_far_inlet(part, workpiece)
     body, cover_m = thinnest_nearby(robot), workpiece.covering_radius_m
     if body is None or not len(workpiece.cloud):
         return workpiece
@@ -236,6 +237,21 @@ def workpiece_of(part: WorkpieceConfig, robot: Robot) -> Workpiece:
             stacklevel=2,
         )
     return workpiece
+
+
+def _warn_of_a_far_inlet(part: WorkpieceConfig, workpiece: Workpiece) -> None:
+    """Warn of a stated inlet that is farther from the part than the part is large, as a length in mm would be."""
+    if part.inlet_m is None or not len(workpiece.cloud):
+        return
+    low, high = workpiece.cloud.min(axis=0), workpiece.cloud.max(axis=0)
+    away_m = float(np.linalg.norm(np.maximum(0.0, np.maximum(low - workpiece.inlet, workpiece.inlet - high))))
+    if away_m > (size_m := float(np.linalg.norm(high - low))):
+        warnings.warn(
+            f"workpiece.inlet_m is {away_m:.3g} m away from the part, which is {size_m:.3g} m large; it is in metres, "
+            "in the part's frame",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def with_plates_of(part: WorkpieceConfig, workpiece: Workpiece) -> Workpiece:

@@ -106,6 +106,11 @@ class MeasuredRows:
             part = parts[self._measure(np.full(len(parts), k), parts)[1][number][nearest][:, row].argmin()]
         return obstacle.part_name(self._robot, int(part))
 
+    def of_mesh(self, row: int, k: int) -> bool:
+        """Return True if the obstacle nearest to a row's body at configuration k is a mesh, see `Obstacle.of_mesh`."""
+        number, nearest, _ = self._nearest(row, k)
+        return self._groups[number][nearest].of_mesh
+
     def _nearest(self, row: int, k: int) -> tuple[int, int, int]:
         """Return the obstacle nearest to a row's body at configuration k: its group, its place and its own row."""
         number = int(np.searchsorted(self._starts, row, side="right")) - 1

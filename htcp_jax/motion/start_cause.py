@@ -41,6 +41,7 @@ class Attempt(NamedTuple):
     point: Float[np.ndarray, "3"]  # nearest point of this obstacle, world [m]
     depth_m: float  # depth of the overlap; negative: the clearance
     link: int  # number of the link to which the body belongs
+    of_mesh: bool = False  # True: points stand for the obstacle, see `Obstacle.of_mesh`
 
     @property
     def description(self) -> str:
@@ -222,7 +223,8 @@ def _cause(found: MeasuredRows, row: int, k: int, always: bool) -> StartCause:
 def _attempt(found: MeasuredRows, row: int, k: int) -> Attempt:
     """Return the overlap or clearance of a row at configuration k as an attempt."""
     depth_m, point = -float(found.distance[k, row]), found.found.witness[k, row]
-    return Attempt(found.x[k], found.body(row), found.other(row, k), point, depth_m, int(found.links[row]))
+    link, of_mesh = int(found.links[row]), found.of_mesh(row, k)
+    return Attempt(found.x[k], found.body(row), found.other(row, k), point, depth_m, link, of_mesh)
 
 
 def _without_start(problem: Problem, s: int, rounds: int) -> StartCause:

@@ -71,8 +71,8 @@ class FileProof:
     seam_segments: SeamSegments | None = None  # seams of the segments; None: one seam, or no joint values
     # where a refuted motion first collides or, if it never does, is first below the margin; None: it is not refuted
     first: Contact | None = None
-    # D at the begin of each of the p paths of `curves`, and at the end of the last one [m]; NaN: not measured; None: no
-    # joint values
+    # D at the begin of each of the p paths of `curves`, and at the end of the last one, to the points on meshes [m];
+    # NaN: not measured; None: no joint values
     measured_m: Float[np.ndarray, "p+1"] | None = None
 
     @property
@@ -238,7 +238,8 @@ def prove_file(
         unproven = unproven[np.argsort(proof.verdict[unproven] == SegmentStatus.UNDECIDED, kind="stable")]
         # Of a proven motion, the bodies at its guaranteed clearance are named.
         smallest = [int(proof.clearance_m.argmin())] if proof.proven and np.isfinite(proof.guaranteed_m) else []
-        start, measured = _first_refuted(proof), problem if proof.proven else problem.without_covering_radius
+        of_points = problem.without_covering_radius
+        start, measured = _first_refuted(proof), problem if proof.proven else of_points
         chosen = smallest or sorted({*unproven[:MOST_CONTACTS].tolist(), *([] if start is None else [start])})
         contacts = deepest_contacts(measured, curves, chosen, lambda done, count: progress("contacts", done, count))
         contacts_by = {each.segment: each for each in contacts}
@@ -250,7 +251,7 @@ def prove_file(
         x = np.vstack([curves.coefficients[:, 0], curves.coefficients[-1].sum(axis=0)])
         measured_m = np.full(len(x), np.nan)
         rows = np.unique(np.linspace(0, len(x) - 1, min(len(x), MOST_MEASURED)).round().astype(int))
-        measured_m[rows] = start_cause.clearances_at(problem, x[rows])
+        measured_m[rows] = start_cause.clearances_at(of_points, x[rows])
         limits = limit_uses(problem.robot, polynomials_of(found), found.time_s, job)
         deviation = _deviation(scene, curves, found)
     return FileProof(

@@ -199,7 +199,7 @@ def _contact_text(found: FileProof, segment: int) -> str:
     assert found.proof is not None
     contact, cause = found.contacts[segment], UndecidedCause(int(found.proof.cause[segment])).message
     is_near = found.proof.verdict[segment] == SegmentStatus.BELOW_MARGIN and contact.clearance_m > 0
-    less = f", less than the margin of {mm_text(found.required_m(segment))}" if is_near else ""
+    less = f", less than the margin of {1e3 * found.required_m(segment):g} mm" if is_near else ""
     return f"{contact.text}{less}{f'; {cause}' if cause else ''}"
 
 

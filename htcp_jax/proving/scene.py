@@ -21,6 +21,7 @@ from htcp_jax.model import scenario as scenarios
 from htcp_jax.motion import Execution, Problem
 from htcp_jax.proving.path_deviation import PathTask
 from htcp_jax.spec import ObstacleKind, PlanConfig, TaskRowKind, numbers_of
+from htcp_jax.status import Status
 
 Cell = Robot | PlanConfig | str | Path | Mapping[str, Any] | None
 
@@ -123,6 +124,9 @@ def build_scene(inputs: ProofInputs, device: str | None = None) -> ProofScene:
     """
     with devices.on(devices.choose(device)[0]):
         found = _scene(inputs, device)
+    if found.has_part and found.problem.scenarios.refused[0] == Status.OUT_OF_REACH:
+        what = "a target of the part's path is farther away than the arm is long"
+        warnings.warn(f"{what}; lengths in a job are in metres", stacklevel=1)
     if "not checked" in found.checked:
         warnings.warn(f"not checked: {found.checked['not checked']}", stacklevel=1)
     return found

@@ -27,18 +27,21 @@ class Contact(NamedTuple):
     link: int  # number of the link to which the body belongs
     point: Float[np.ndarray, "3"]  # nearest point of the obstacle or the other body, world [m]
     is_capsule: bool = False  # True: a depth is that of the capsule about a convex piece, an upper bound
+    of_mesh: bool = False  # True: to points on a mesh, so that a distance is an upper bound and a depth a lower one
     others: tuple["Contact", ...] = ()  # next pairs of bodies at this configuration, the smallest clearance first
 
     @property
     def depth(self) -> str:
-        """The depth as text."""
-        return f"{'at most ' if self.is_capsule else ''}{-1e3 * self.clearance_m:.3g} mm"
+        """The depth as text, with the kind of bound that it is."""
+        above, below = ("at most ", "about ") if self.is_capsule else ("", "at least ")
+        return f"{below if self.of_mesh else above}{-1e3 * self.clearance_m:.3g} mm"
 
     @property
     def text(self) -> str:
         """The bodies, and the depth or the distance, as text."""
-        apart = f"{self.depth} inside" if self.clearance_m <= 0 else f"{mm_text(self.clearance_m)} from"
-        return f"{self.body} is {apart} {self.other}"
+        if self.clearance_m <= 0:
+            return f"{self.body} is {self.depth} inside {self.other}"
+        return f"{self.body} is {'at most ' if self.of_mesh else ''}{mm_text(self.clearance_m)} from {self.other}"
 
     @property
     def at(self) -> str:
@@ -130,9 +133,9 @@ def _measured(
 
 
 def _contact(problem: Problem, segment: int, place: float, x: np.ndarray, clearance_m: float) -> Contact:
-    is_capsule = problem.robot.pieces is not None
+    about, is_capsule = (int(segment), place, x), problem.robot.pieces is not None
     first, *others = (
-        Contact(int(segment), place, x, pair.body, pair.other, -pair.depth_m, pair.link, pair.point, is_capsule)
-        for pair in start_cause.closest_pairs(problem, x, PAIRS)
+        Contact(*about, own.body, own.other, -own.depth_m, own.link, own.point, is_capsule, own.of_mesh)
+        for own in start_cause.closest_pairs(problem, x, PAIRS)
     )
     return first._replace(clearance_m=clearance_m, others=tuple(others))

@@ -46,7 +46,7 @@ HEADINGS = {  # of quantities, or of single columns
     "cost_common": "cost, common",
     "cpu_s": "processor",
     "cycle": "cycle time",
-    "deepest": "deepest on",
+    "deepest": "worst on",
     "dwelling": "with dwells",
     "end_mm": "to",
     "feed": "lowest feed",

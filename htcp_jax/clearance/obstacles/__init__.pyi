@@ -6,12 +6,13 @@ from .narrow_phase import CLOSE_M
 from .obstacle import THE_WORKPIECE, Contacts, grouped
 from .obstacles import surely_collides
 from .of_cell import PlacedCloud, make_fixtures, placed_cloud
-from .of_workpiece import all_obstacles, with_interior
+from .of_workpiece import KEEP_OUT, all_obstacles, with_interior
 from .self_collision import RefusedPair, SelfCollision, make_self_collision, refused_pair
 from .tip_guard import NearWalls, TipGuard, make_tip_guard
 
 __all__ = [
     "CLOSE_M",
+    "KEEP_OUT",
     "THE_WORKPIECE",
     "ContactModel",
     "Contacts",

@@ -41,6 +41,7 @@ class Cloud(Obstacle):
     index: CloudIndex
     cover: Float[jax.Array, ""]
     count: int = field(metadata=LABEL)  # of points, without padding
+    of_mesh: bool = field(default=False, metadata=LABEL)  # True: the points stand for a mesh
 
     of_workpiece = True
     sweeps = True
@@ -181,11 +182,17 @@ class Cloud(Obstacle):
         return body_within(self.index, *own, within + self.cover).row >= 0
 
 
-def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
-    """Return the obstacle of a cloud of points [m]. Their order does not change any distance."""
-    points, count = np.asarray(points), len(points)
-    is_large_mesh = covering_radius_m > 0 and count > SMALL and backend().is_cpu
+def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float, of_mesh: bool = False) -> Cloud:
+    """Return the obstacle of a cloud of points [m]. Their order does not change any distance.
+
+    Args:
+        points: The points.
+        covering_radius_m: Covering radius of points on a mesh; 0: nothing is subtracted from distances.
+        of_mesh: True for points on a mesh whose covering radius is not subtracted.
+    """
+    points, count, of_mesh = np.asarray(points), len(points), of_mesh or covering_radius_m > 0
+    is_large_mesh = of_mesh and count > SMALL and backend().is_cpu
     index = build_index(points, MESH_LEVELS if is_large_mesh else 2)
     if backend().is_cpu:  # as many as there are places in the tree's leaves
         points = with_repeated(points, index.rows.size)
-    return Cloud(*jax.device_put((points, index, np.asarray(covering_radius_m, float))), count)
+    return Cloud(*jax.device_put((points, index, np.asarray(covering_radius_m, float))), count, of_mesh)

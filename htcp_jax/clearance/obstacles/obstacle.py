@@ -141,6 +141,7 @@ class Obstacle:
         is_exact: True if `free_radius` is the distance of the capsules up to ROUNDING_M, so that it changes by no more
             than the bodies move; for an arm with pieces, if it is above `narrow_phase.limit_m`.
         names: Names of the obstacle's parts.
+        of_mesh: True if distances are those from points that stand for a mesh.
         sunk: Text about bodies that are deep in it and are not checked; "" if there are none.
     """
 
@@ -150,6 +151,7 @@ class Obstacle:
     in_pairs: ClassVar[bool] = False
     is_exact: ClassVar[bool] = False
     names: ClassVar[tuple[str, ...]] = ()
+    of_mesh: ClassVar[bool] = False
     sunk: ClassVar[str] = ""
 
     def rows(self, robot: Robot) -> RowPairs:

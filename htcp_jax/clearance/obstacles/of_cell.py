@@ -85,6 +85,11 @@ class PlacedCloud(Obstacle):
         return self.cloud.covering_radius_m
 
     @property
+    def of_mesh(self) -> bool:
+        """True if the points stand for a mesh."""
+        return self.cloud.of_mesh
+
+    @property
     def without_covering_radius(self) -> "PlacedCloud":
         """The points alone."""
         return dataclasses.replace(self, cloud=self.cloud.without_covering_radius)

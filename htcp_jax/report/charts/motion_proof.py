@@ -48,7 +48,8 @@ def proof_chart(found: FileProof) -> Figure:
     if groups:
         _draw_contacts(panels[1, 0], found, edges)
     below = panels[-1, 0]
-    below.set_xlabel("segment" if times is None else "time [s]")
+    numbered = f"segment; 0 is {proof_record.lines_of(found, 0)}"
+    below.set_xlabel(numbered if times is None else "time [s]")
     below.set_xlim(edges[0], edges[-1])
     if times is None:
         below.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -106,17 +107,14 @@ def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]
     contacts = [
         each for group in proof_record.unproven_groups(found) for each in proof_record.worst_pairs(found, group)
     ]
-    named = dict[tuple[int, str], str]()
-    for each in contacts:
-        named.setdefault((each.link, each.other), each.body)
-    marks = dict(zip(named, MARKS, strict=False))
+    marks = dict(zip(dict.fromkeys((each.body, each.other) for each in contacts), MARKS, strict=False))
     distances = [0.0]
     for contact in (*found.contacts.values(), *contacts):
         begin, end = edges[contact.segment : contact.segment + 2]
         at, distance = begin + contact.place * (end - begin), 1e3 * contact.clearance_m
         colour = COLOURS.get(SegmentStatus(int(found.proof.verdict[contact.segment])), REFUTED)
         axes.vlines(at, 0, distance, color=colour, linewidth=1.4)
-        mark = marks.get((contact.link, contact.other), OTHER)
+        mark = marks.get((contact.body, contact.other), OTHER)
         axes.scatter(at, distance, c=colour, marker=mark, s=26, zorder=3, clip_on=False)
         distances.append(distance)
     axes.axhline(0, color=QUIET, linewidth=0.9)
@@ -126,8 +124,8 @@ def _draw_contacts(axes: Axes, found: FileProof, edges: Float[np.ndarray, "m+1"]
     room = 0.12 * (high - low or 1.0)
     axes.set_ylim(low - room, high + room)
     handles = [
-        Line2D([], [], color=QUIET, linestyle="", marker=mark, markersize=5, label=f"{named[key]} and {key[1]}")
-        for key, mark in marks.items()
+        Line2D([], [], color=QUIET, linestyle="", marker=mark, markersize=5, label=f"{body} and {other}")
+        for (body, other), mark in marks.items()
     ]
     look = {"ncols": 2, "frameon": False, "fontsize": 9, "labelcolor": INK, "borderaxespad": 0.2}
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), **look)
