@@ -129,3 +129,14 @@ def test_a_typical_arm_has_the_sizes_that_imported_arms_with_a_torch_have(joints
     assert (len(table.first), *table.numbers.shape) == pairs
     assert scene.robot.pieces.piece.vertices.shape == (bodies, 96, 3)
     assert scene.robot.pieces.planes.shape == (bodies, 384, 4)
+
+
+@pytest.mark.parametrize("joints", [6, 8])
+def test_padded_closely_as_on_a_gpu_an_arm_has_few_more_bodies_and_pairs_than_its_own(joints):
+    robot = typical_jobs._arm(joints)
+    own_pairs = SelfCollision(typical_jobs._pairs(robot)[:35])
+    close = Scene(robot, (own_pairs,)).for_programs(closely=True)
+    assert 0 <= len(close.robot.capsule_link) - len(robot.capsule_link) < 4
+    table = close.obstacles[0].table
+    assert 0 <= len(table.first) - 35 < 16 and table.is_pair.sum() == 35
+    np.testing.assert_array_equal(table.first[:35], [pair[0] for pair in own_pairs.pairs])

@@ -8,7 +8,7 @@ proof.clearance_m                            # guaranteed clearance of each segm
 
 A segment is proven if all joint paths that belong to it are clear, see `curves.JointCurves`. It is refuted if one of
 them collides that the controller takes for certain, or would take without a servo's lag. Otherwise it is undecided: a
-path inside a corner, or within the lag, may collide.
+path inside a corner, or within the lag, may collide, or a mesh may be nearer than the points on it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
