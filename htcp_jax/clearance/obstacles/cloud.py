@@ -190,7 +190,7 @@ def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float, of_mesh
         covering_radius_m: Covering radius of points on a mesh; 0: nothing is subtracted from distances.
         of_mesh: True for points on a mesh whose covering radius is not subtracted.
     """
-    points, count, of_mesh = np.asarray(points), len(points), of_mesh or covering_radius_m > 0
+    points, count, of_mesh = np.asarray(points), len(points), bool(of_mesh or covering_radius_m > 0)
     is_large_mesh = of_mesh and count > SMALL and backend().is_cpu
     index = build_index(points, MESH_LEVELS if is_large_mesh else 2)
     if backend().is_cpu:  # as many as there are places in the tree's leaves
