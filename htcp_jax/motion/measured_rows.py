@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance import Obstacles, Scene, by_pieces, contacts_of_each, surface_points
+from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts_of_each, surface_points
 from htcp_jax.clearance.obstacles import grouped
 from htcp_jax.device import Executor, devices, lane_function, tables
 from htcp_jax.errors import mm_text
@@ -108,8 +108,12 @@ class MeasuredRows:
 
     def of_mesh(self, row: int, k: int) -> bool:
         """Return True if the obstacle nearest to a row's body at configuration k is a mesh, see `Obstacle.of_mesh`."""
+        return self._obstacle(row, k).of_mesh
+
+    def _obstacle(self, row: int, k: int) -> Obstacle:
+        """Return the obstacle nearest to a row's body at configuration k."""
         number, nearest, _ = self._nearest(row, k)
-        return self._groups[number][nearest].of_mesh
+        return self._groups[number][nearest]
 
     def _nearest(self, row: int, k: int) -> tuple[int, int, int]:
         """Return the obstacle nearest to a row's body at configuration k: its group, its place and its own row."""
@@ -130,8 +134,7 @@ class MeasuredRows:
 
     def gaps_note(self, row: int, k: int) -> str:
         """Return the part of a message about what the points on an obstacle's mesh take from a row's distance."""
-        number, nearest, _ = self._nearest(row, k)
-        cover_m, distance_m = self._groups[number][nearest].covering_radius_m, float(self.distance[k, row])
+        cover_m, distance_m = self._obstacle(row, k).covering_radius_m, float(self.distance[k, row])
         if not cover_m:
             return ""
         gaps = f"{mm_text(cover_m)} for the gaps between the points on its mesh"

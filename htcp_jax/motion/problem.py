@@ -93,6 +93,7 @@ class Problem:
     progress: Callable[..., None] = ignore
     prepared_s: float = 0.0  # time that `of` took, a part of `Plans.run_s`
     checkers: tuple[CollisionChecker, ...] = ()  # one for each device, made with the problem
+    covers_meshes: bool = True  # False: no covering radius is subtracted from distances to points on meshes
 
     def __post_init__(self):
         object.__setattr__(self, "settings", self.settings.on(self.devices[0].platform))
@@ -155,16 +156,15 @@ class Problem:
     @cached_property
     def obstacles(self) -> Obstacles:
         """All obstacles, including the workpiece's."""
-        return all_obstacles(self.workpiece, self.other_obstacles)
+        found = all_obstacles(self.workpiece, self.other_obstacles)
+        return found if self.covers_meshes else tuple(each.without_covering_radius for each in found)
 
     @cached_property
     def without_covering_radius(self) -> "Problem":
         """The problem with distances from the points on meshes, from which no covering radius is subtracted."""
         if not any(each.covering_radius_m for each in self.obstacles):
             return self
-        others = tuple(each.without_covering_radius for each in self.other_obstacles)
-        workpiece = replace(self.workpiece, covering_radius_m=0.0)
-        return replace(self, workpiece=workpiece, other_obstacles=others, checkers=())
+        return replace(self, covers_meshes=False, checkers=())
 
     @cached_property
     def devices(self) -> list[jax.Device]:

@@ -182,15 +182,9 @@ class Cloud(Obstacle):
         return body_within(self.index, *own, within + self.cover).row >= 0
 
 
-def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float, of_mesh: bool = False) -> Cloud:
-    """Return the obstacle of a cloud of points [m]. Their order does not change any distance.
-
-    Args:
-        points: The points.
-        covering_radius_m: Covering radius of points on a mesh; 0: nothing is subtracted from distances.
-        of_mesh: True for points on a mesh whose covering radius is not subtracted.
-    """
-    points, count, of_mesh = np.asarray(points), len(points), bool(of_mesh or covering_radius_m > 0)
+def cloud_of(points: Float[np.ndarray, "P 3"], covering_radius_m: float) -> Cloud:
+    """Return the obstacle of a cloud of points [m]. Their order does not change any distance."""
+    points, count, of_mesh = np.asarray(points), len(points), bool(covering_radius_m > 0)
     is_large_mesh = of_mesh and count > SMALL and backend().is_cpu
     index = build_index(points, MESH_LEVELS if is_large_mesh else 2)
     if backend().is_cpu:  # as many as there are places in the tree's leaves

@@ -50,7 +50,7 @@ def make_obstacle(workpiece: Workpiece) -> Obstacles:
     """
     if not len(workpiece.cloud):
         return ()
-    cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m, of_mesh=len(workpiece.triangles) > 0)
+    cloud = cloud_of(workpiece.cloud, workpiece.covering_radius_m)
     if not len(workpiece.hull_offset):
         return (cloud,)
     return cloud, Interior(half_spaces(workpiece.hull_normal, workpiece.hull_offset, workpiece.hull_vertices))
