@@ -3,16 +3,14 @@
 Only inertias from `<inertial>` elements of the URDF or MJCF file are used. They are not estimated from shapes: if a
 link has no inertia, the torques are unknown. A tool that the job mounts has no mass. Gravity is 9.81 m/s2 downwards in
 the world. Damping and armature are included if the model has them. Equal masses of all moving links are placeholders
-that an exporter wrote, and are not used. MJX computes many configurations at once; a test compares it with MuJoCo.
+that an exporter wrote, and are not used. MuJoCo takes 4 us for a configuration on one core, MJX 10 to 20 us there and
+5 s to compile for each arm; a test compares them.
 """
 
-import contextlib
 from collections.abc import Callable, Collection, Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -32,10 +30,7 @@ from htcp_jax.trajectory.timed_motion import TimedMotion
 
 GRAVITY_M_S2 = 9.81
 FEWEST_EQUAL = 3  # number of moving bodies with equal masses from which on the masses are placeholders
-AT_ONCE = 1024  # configurations per call; larger calls need more memory, but not less time
 TORQUES_EVERY_S = 0.01  # time step between samples
-# On CPUs, XLA's fusion recomputes a link's pose for every value that depends on it: 10,000 times the work.
-PLAIN = {"xla_disable_hlo_passes": "fusion"}
 _OFF = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
 
 
@@ -88,35 +83,21 @@ def torques(
         locked: Names of the joints that do not move.
         coupling: The arm's joints that follow others; None: no joint does.
     """
-    with contextlib.redirect_stdout(None):  # importing MJX prints messages about missing packages
-        from mujoco import mjx
-    device = mjx.put_model(model)
     fixed = [j for j in range(model.njnt) if joint_name(model, j) in locked]
     if coupling is None:
         joints = np.array(chain_of_file(model, Path("model"), fixed).joints)  # in the robot's order
     else:
         names = [joint_name(model, j) for j in range(model.njnt)]
         joints = np.array([names.index(name) for name in coupling.joint_names])
-    still = np.array([model.qpos0, np.zeros(model.nv), np.zeros(model.nv)])
-    blank = mjx.make_data(device)
-
-    @partial(jax.jit, compiler_options=PLAIN)
-    @jax.vmap
-    def at(x, v, a):
-        data = mjx.com_vel(device, mjx.com_pos(device, mjx.kinematics(device, blank.replace(qpos=x, qvel=v, qacc=a))))
-        inertial = mjx.rne(device, data, flg_acc=True).qfrc_bias
-        return inertial + device.dof_armature * a - mjx.passive(device, data).qfrc_passive
 
     def found(x: Float[np.ndarray, "n N"], v: Float[np.ndarray, "n N"], a: Float[np.ndarray, "n N"]) -> np.ndarray:
         if coupling is not None:
             x, v, a = coupling.positions(x), coupling.rates(v), coupling.rates(a)
-        torque = np.empty_like(x)
-        with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks
-            for first in range(0, len(x), AT_ONCE):
-                own = np.repeat(still[:, None], AT_ONCE, axis=1)
-                for k, part in enumerate((x, v, a)):
-                    own[k][:, joints] = np.resize(part[first : first + AT_ONCE], (AT_ONCE, x.shape[1]))
-                torque[first : first + AT_ONCE] = np.asarray(at(*own))[: len(x) - first, joints]
+        data, torque = mujoco.MjData(model), np.empty_like(x)
+        for k in range(len(x)):
+            data.qpos[joints], data.qvel[joints], data.qacc[joints] = x[k], v[k], a[k]
+            mujoco.mj_inverse(model, data)
+            torque[k] = data.qfrc_inverse[joints]
         return torque if coupling is None else torque @ np.asarray(coupling.factors)
 
     return found
