@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts_of_each, surface_points
+from htcp_jax.clearance import Obstacle, Obstacles, Scene, by_pieces, contacts, contacts_of_each, surface_points
 from htcp_jax.clearance.obstacles import grouped
 from htcp_jax.device import Executor, devices, lane_function, tables
 from htcp_jax.errors import mm_text
@@ -45,6 +45,14 @@ class RowDistances(NamedTuple):
     surfaces: Float[np.ndarray, "*n R 2 3"]  # nearest points on the surfaces of the body and of the obstacle, world [m]
     by_piece: Bool[np.ndarray, "*n R"]  # True: the distance is that of a convex piece
     by_interior_rule: Bool[np.ndarray, "*n R"]
+
+
+class NearestPair(NamedTuple):
+    """Pair of nearest points on the arm and on the obstacles, at one configuration or at n."""
+
+    body: Int[np.ndarray, "*n"]  # number of the nearest body
+    arm: Float[np.ndarray, "*n 3"]  # point on its surface, or the end of its axis that crossed the hull, world [m]
+    other: Float[np.ndarray, "*n 3"]  # point of the obstacle, or of the hull that the end has crossed, world [m]
 
 
 class MeasuredRows:
@@ -148,6 +156,19 @@ class MeasuredRows:
         return self._executor(MEASURE, *lanes, np.full(len(k), parts))
 
 
+def nearest_pairs(robot: Robot, obstacles: Obstacles, where: Any, x: Float[np.ndarray, "n N"]) -> NearestPair:
+    """Return the nearest points at n >= 1 configurations [rad or m].
+
+    Args:
+        robot: The arm with its tool.
+        obstacles: All obstacles, including the workpiece.
+        where: The scenario, see `Placement.of`.
+        x: The configurations.
+    """
+    lanes = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], len(x), axis=0), Placement.of(where))
+    return Executor(Scene(robot, obstacles), Settings(), threads=devices.cores())(NEAREST_PAIR, lanes, x)
+
+
 def task_errors(
     robot: Robot, task: Task, where: Any, x: Float[np.ndarray, "n N"], goals: Float[np.ndarray, "n G"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
@@ -182,6 +203,14 @@ def measure_rows(settings: Settings, scene: Scene, where: Placement, x, part) ->
     return found, [[each.distance for each in group] for group in of_each]
 
 
+def _nearest_pair(settings: Settings, scene: Scene, where: Placement, x) -> NearestPair:
+    touch = contacts(scene.robot, scene.obstacles, where, x)
+    row = jnp.argmin(touch.distance)
+    surface = surface_points(scene.robot, scene.rows, touch)[row]
+    arm = jnp.where(touch.by_interior_rule[row], touch.point[row], surface)
+    return NearestPair(jnp.asarray(scene.rows.body)[row], arm, arm - touch.distance[row] * touch.normal[row])
+
+
 def _errors(settings: Settings, scene: Scene, where: Placement, x, goal):
     robot, task = scene.robot, scene.task
     return *task.errors(robot, x, goal), task.slack(task.value(robot, x), goal)
@@ -190,4 +219,5 @@ def _errors(settings: Settings, scene: Scene, where: Placement, x, goal):
 MEASURE = lane_function.LaneFunction(
     "measure_rows", measure_rows, lane_function.STEP, any_cone=True, compiles_quickly=True
 )
+NEAREST_PAIR = lane_function.LaneFunction("nearest_pair", _nearest_pair, lane_function.STEP, any_cone=True)
 ERRORS = lane_function.LaneFunction("task_errors", _errors, lane_function.STEP, any_cone=True)

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int8
 
-from htcp_jax.clearance import Obstacles, contacts, rows_of, surface_points
+from htcp_jax.clearance import Obstacles
 from htcp_jax.errors import InputError
 from htcp_jax.model import Robot, Scenario, Task, Workpiece, kinematics
 from htcp_jax.model import robot as robots
@@ -226,7 +225,7 @@ class Replays:
         if self.file is not None:
             narrowest, nearest = (None, x[0]) if self.file.nearest is None else (self.file.first, self.file.nearest)
             looked_at = np.tile(nearest, (len(looked_at), 1))
-        witness = _witness(robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
+        witness = _witness(cell.robot, cell.obstacle, placement, np.concatenate([x, looked_at]))
         surface = cell.surface.placed(placement.T_world_workpiece)
         target, status = plans.target[number, there], plans.status[number, there]
         shown = _shown_targets(np.flatnonzero(plan_arrays.is_tracked(status)), on_path)
@@ -388,24 +387,8 @@ def _narrow(target: int | None, seen: Witness) -> NarrowSegment | None:
 
 
 def _witness(robot: Robot, obstacle: Obstacles, where: measured_rows.Placement, x: Float[np.ndarray, "T N"]) -> Witness:
-    row, arm, cloud = map(np.asarray, _nearest_points(robot, obstacle, where, jnp.asarray(x)))
-    body = np.array(rows_of(robot, obstacle).body)[row]
-    return Witness([robot.capsule_names[k] for k in body.tolist()], arm, cloud)
-
-
-@jax.jit
-def _nearest_points(robot: Robot, obstacle: Obstacles, where: measured_rows.Placement, x: Float[jax.Array, "T N"]):
-    """Return the nearest pair at every configuration: row of the contact, point on the arm, point on the obstacle."""
-    rows = rows_of(robot, obstacle)
-
-    def one(x):
-        touch = contacts(robot, obstacle, where, x)
-        row = jnp.argmin(touch.distance)
-        point, normal, ended = touch.point[row], touch.normal[row], touch.plane[row] & (touch.radius[row] == 0)
-        arm = jnp.where(ended, point, surface_points(robot, rows, touch)[row])
-        return row, arm, arm - touch.distance[row] * normal
-
-    return jax.vmap(one)(x)
+    found = measured_rows.nearest_pairs(robot, obstacle, where, x)
+    return Witness([robot.capsule_names[k] for k in found.body.tolist()], found.arm, found.other)
 
 
 def _without_gaps(x: Float[np.ndarray, "T N"], start: Float[np.ndarray, "N"]) -> Float[np.ndarray, "T N"]:

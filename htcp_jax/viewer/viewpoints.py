@@ -374,7 +374,7 @@ def shadowed(
 def _behind(cloud: Float[np.ndarray, "P 3"], radius: float, points: Float[np.ndarray, "n 3"], toward) -> Mask:
     """Return True for points that are hidden by discs around the cloud's points.
 
-    All pairs are tested: for so few points a k-d tree is slower, with the import of scipy.spatial.
+    All pairs in the points' rectangle are tested: a k-d tree is slower, with the import of scipy.spatial.
 
     Args:
         cloud: The cloud [m].
@@ -382,10 +382,14 @@ def _behind(cloud: Float[np.ndarray, "P 3"], radius: float, points: Float[np.nda
         points: The points [m].
         toward: Unit direction towards the camera.
     """
+    if not len(points):
+        return np.zeros(0, bool)
     plane = _plane(toward)
-    x, y = (points @ plane).T[..., None] - (cloud @ plane).T[:, None]
-    nearer = cloud @ toward > (points @ toward)[:, None] + 3 * radius
-    return (nearer & (x * x + y * y <= radius**2)).any(axis=1)
+    p, d, c, far = points @ plane, points @ toward, cloud @ plane, cloud @ toward
+    near = (c >= p.min(axis=0) - radius) & (c <= p.max(axis=0) + radius)
+    near = np.flatnonzero(near.all(axis=1) & (far > d.min() + 3 * radius))
+    x, y = p.T[..., None] - c[near].T[:, None]
+    return ((far[near] > d[:, None] + 3 * radius) & (x * x + y * y <= radius**2)).any(axis=1)
 
 
 def _plane(toward: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 2"]:
