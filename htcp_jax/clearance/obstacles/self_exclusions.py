@@ -16,6 +16,7 @@ A pair with a capsule of the job's own tool, or of a fixture on a link, is exclu
 d  the job excludes the fixture from tests against the link.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cache
 
@@ -25,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from htcp_jax.clearance.distance.segments import nearest_points
+from htcp_jax.clearance.obstacles.obstacle import Scene
 from htcp_jax.model import Robot, kinematics
 from htcp_jax.model import robot as robots
 from htcp_jax.numerics import safe_norm
@@ -63,7 +65,7 @@ def samples(robot: Robot, count: int = SAMPLES, seed: int = SEED) -> Samples:
 
 def distances(robot: Robot, pairs: Sequence[tuple[int, int]], x: Samples) -> Float[np.ndarray, "n R"]:
     """Return the signed distance of the capsules of every pair at every configuration [m]."""
-    p, q = map(np.asarray, _sampled_segments(robot, x))
+    p, q = _sampled_segments(robot, x)
     row, pair = np.indices((len(x), len(pairs))).reshape(2, -1)
     return _distances_in(robot, p, q, row, np.array(pairs)[pair]).reshape(len(x), -1)
 
@@ -75,7 +77,7 @@ def overlaps(
 
     The results are those of `distances`, but capsules are only measured if the spheres about them are near.
     """
-    p, q = map(np.asarray, _sampled_segments(robot, x))
+    p, q = _sampled_segments(robot, x)
     each = np.array(pairs)
     (a, b), middle = each.T, (p + q) / 2
     reach = np.linalg.norm(q - p, axis=2).max(axis=0) / 2 + np.asarray(robot.capsule_radius)
@@ -140,8 +142,14 @@ def _adjacent(robot: Robot, pair: tuple[int, int]) -> bool:
     return first >= 0 and robot.parents[first] == second
 
 
+def _sampled_segments(robot: Robot, x: Samples) -> tuple[Ends, Ends]:
+    padded = Scene(dataclasses.replace(robot, pieces=None), ()).for_programs().robot  # arms share a program
+    p, q = (np.asarray(ends)[:, : len(robot.capsule_link)] for ends in _padded_segments(padded, x))
+    return p, q
+
+
 @jax.jit
-def _sampled_segments(robot: Robot, x: Float[jax.Array, "n N"]) -> tuple[Float[jax.Array, "n K 3"], ...]:
+def _padded_segments(robot: Robot, x: Float[jax.Array, "n N"]) -> tuple[Float[jax.Array, "n K 3"], ...]:
     return jax.lax.map(lambda x: kinematics.capsule_segments(robot, x), jnp.asarray(x), batch_size=TOGETHER)
 
 
