@@ -164,6 +164,14 @@ def test_a_suggested_spacing_is_not_refused_for_too_many_points(monkeypatch):
     assert found == {True, False}
 
 
+def test_the_spacing_that_a_refusal_names_is_accepted(monkeypatch):
+    monkeypatch.setattr(surface, "MOST_POINTS", 30_000)
+    for triangles in (MESHES["box"].triangles, MESHES["sphere"].triangles):
+        with pytest.raises(InputError, match=r"increase workpiece\.mesh_spacing_m to [\d.]+ or more$") as refusal:
+            cover_mesh(np.asarray(triangles), "mesh", 1e-4)
+        cover_mesh(np.asarray(triangles), "mesh", float(str(refusal.value).split()[-3]))
+
+
 def part(points: np.ndarray, radius_m: float) -> Workpiece:
     """Part with points on a mesh."""
     return Workpiece("part", points, np.zeros((1, 3)), interior="none", covering_radius_m=radius_m)

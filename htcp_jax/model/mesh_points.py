@@ -125,7 +125,8 @@ def cover_mesh(
     if spacing is None and body is not None and wanted < _default_radius(total, None):
         required += f", as fine as {body.label} with a radius of {1e3 * body.radius_m:.4g} mm requires"
     regular = total / (2 * wanted**2)  # number of points of a square grid
-    check_count(regular, required, source)
+    fewer = 2 * wanted * np.sqrt(LEVELS * regular / surface.MOST_POINTS)
+    check_count(regular, required, source, f" to {_rounded_up(fewer):g} or more")
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     points, reached, done = [*left], 0.0, 0
     while left.shape[2]:
@@ -180,6 +181,12 @@ def _greedy_middles(corners: Corners, radius_m: float) -> Float[np.ndarray, "P 3
 def _furthest_corner(corners: Corners, point: Float[np.ndarray, "3 #F"]) -> Float[np.ndarray, "F"]:
     """Return the distance of each triangle's furthest corner from a point [m]; one point per triangle."""
     return np.sqrt(np.max([square_norm(corner - point) for corner in corners], axis=0))
+
+
+def _rounded_up(value: float) -> float:
+    """Return the next larger number with one significant digit."""
+    digit = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / digit) * digit)
 
 
 def _default_radius(total: float, body: NearbyBody | None) -> float:

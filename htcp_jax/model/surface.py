@@ -176,7 +176,7 @@ def square_norm(u: Float[np.ndarray, "3 F"]) -> Float[np.ndarray, "F"]:
     return components_dot(u, u)
 
 
-def check_count(points: float, spacing: str, source: str) -> None:
-    """Raise an InputError for more than MOST_POINTS points."""
+def check_count(points: float, spacing: str, source: str, enough: str = "") -> None:
+    """Raise an InputError for more than MOST_POINTS points; `enough` says which spacing is accepted, if known."""
     if points > MOST_POINTS:
-        raise InputError(f"{source}: more than {MOST_POINTS:,} points at {spacing}; increase {KEY}")
+        raise InputError(f"{source}: more than {MOST_POINTS:,} points at {spacing}; increase {KEY}{enough}")
