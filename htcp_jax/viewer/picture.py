@@ -365,7 +365,8 @@ def _draw_events(
 def _set_logarithmic(axes: Axes, low: float, high: float) -> None:
     """Set the range of a logarithmic y axis, with plain numbers."""
     axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e5 else (1,), numticks=99))
+    digits = (1, 2, 3, 4, 6, 8) if high / low < 10 else (1, 2, 5) if high / low < 1e5 else (1,)
+    axes.yaxis.set_major_locator(LogLocator(subs=digits, numticks=99))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
 
