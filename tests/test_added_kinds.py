@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 from page_package import Place, files
@@ -131,7 +132,7 @@ def test_distances_are_those_of_a_dense_look_and_gradients_those_of_differences(
     def at(x):
         return clearances(robot, obstacles, scenario, x)
 
-    @jax.jit
+    @made_once.quick_jit
     def seen(x, near):
         bodies = bodies_at(robot, scenario, x)
         dense = sampled(obstacles, robot, scenario, bodies, 4001)
@@ -150,7 +151,7 @@ def test_distances_are_those_of_a_dense_look_and_gradients_those_of_differences(
 def test_the_bound_of_an_obstacle_that_is_not_convex_holds_along_every_axis(kinds):
     robot, obstacles, scenario = scenario_with(RING)
 
-    @jax.jit
+    @made_once.quick_jit
     @jax.vmap
     def seen(x):
         bodies = bodies_at(robot, scenario, x)
@@ -198,7 +199,7 @@ def test_the_slack_of_a_row_holds_on_all_of_an_interval(row):
     task = task_of_job(job, robot)
     regions, x = between(task, jnp.asarray(scenario.task_goals[[-2, -1]])), jnp.asarray(scenario.x_start)
 
-    @jax.jit
+    @made_once.quick_jit
     def seen(rates):
         found = row_slacks(robot, task.parts, regions, x, rates, jnp.asarray(0.5))
         return found.left[0], jax.vmap(lambda s: task.value(robot, x + s * rates)[5])(jnp.linspace(-0.5, 0.5, 101))
@@ -233,7 +234,7 @@ def test_a_row_holds_where_it_is_planned_and_its_proof_is_one(kinds):
     on_path = htcp_jax.PointRow(point="tcp", on="path")
     plan = htcp_jax.plan({"method": "baseline"}, task=[on_path, kinds["stays-above"]("link4", 1.4)])
     x = plan.plans.x[0][plan.plans.tracked[0]]
-    value = jax.jit(jax.vmap(task_of_job(plan.job, plan.robot).value, (None, 0)))
+    value = made_once.quick_jit(jax.vmap(task_of_job(plan.job, plan.robot).value, (None, 0)))
     height = np.asarray(value(plan.robot, x))[int(plan.scenario.on_path) :, 5]
     assert len(height) and (height >= 1.4 - 1e-9).all()
     assert (

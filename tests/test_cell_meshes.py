@@ -5,6 +5,7 @@ from functools import cache, partial
 
 import fcl
 import jax
+import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def by_fcl(corners: np.ndarray, triangles: np.ndarray) -> float:
 @cache
 def planner_clearances():
     robot, where = toy.robot(), toy.scenario()
-    return jax.jit(lambda obstacles, x: jax.vmap(partial(minimum_clearance, robot, obstacles, where))(x))
+    return made_once.quick_jit(lambda obstacles, x: jax.vmap(partial(minimum_clearance, robot, obstacles, where))(x))
 
 
 @each_cell

@@ -95,7 +95,7 @@ def segments(points, count, seed):
     return np.where(home, 0.0, p), np.where(home, length[:, None] * direction, q)
 
 
-_NEAREST = jax.jit(lambda index, p, q: jax.lax.map(lambda s: nearest_rows(index, *s), (p, q)))
+_NEAREST = made_once.quick_jit(lambda index, p, q: jax.lax.map(lambda s: nearest_rows(index, *s), (p, q)))
 
 
 def nearest(index, p, q):
@@ -195,16 +195,16 @@ def closest_points(p, q, points):
 def test_a_batch_of_searches_equals_one_after_the_other():
     index = build_index(cloud("three hundred"))
     p, q = (a.reshape(20, LANES, 3) for a in segments(cloud("three hundred"), 20 * LANES, seed=6))
-    together = jax.jit(jax.vmap(nearest_rows, in_axes=(None, 0, 0)))(index, p, q)
+    together = made_once.quick_jit(jax.vmap(nearest_rows, in_axes=(None, 0, 0)))(index, p, q)
     np.testing.assert_array_equal(np.ravel(together), nearest(index, p.reshape(-1, 3), q.reshape(-1, 3)))
 
 
-@jax.jit
+@made_once.quick_jit
 def nearest_bodies(index, p, q, radius):
     return jax.lax.map(lambda s: nearest_body(index, *s), (p, q, radius))
 
 
-@jax.jit
+@made_once.quick_jit
 def bodies_within(index, p, q, reach):
     return jax.lax.map(lambda s: body_within(index, *s), (p, q, reach))
 
@@ -254,7 +254,7 @@ def test_no_gradient_passes_through_the_search():
         return jnp.sum((p - jnp.asarray(points)[row]) ** 2)
 
     expected = 2 * (p - points[nearest(index, p, p + 0.1)])
-    for gradient in jax.jit(lambda p: (jax.jacrev(square)(p), jax.jacfwd(square)(p)))(p):
+    for gradient in made_once.quick_jit(lambda p: (jax.jacrev(square)(p), jax.jacfwd(square)(p)))(p):
         np.testing.assert_allclose(gradient, expected, atol=1e-14)
 
 
@@ -268,7 +268,7 @@ def test_the_kernel_for_gpus_finds_the_same_leaves(name, shared):
     p, q = (a.reshape(-1, LANES, 3) for a in segments(cloud(name), 5 * LANES, seed=5))
     limit = np.where(rng.random((5, LANES)) < 0.7, 1e150, 0.01)
     limit = np.broadcast_to(limit[:, :1], limit.shape) if shared else limit
-    search = jax.jit(jax.vmap(lambda p, q, limit: nearest_leaves(index, p, q, radius, limit, shared)))
+    search = made_once.quick_jit(jax.vmap(lambda p, q, limit: nearest_leaves(index, p, q, radius, limit, shared)))
     with compiled_for(Backend("gpu", has_kernels=True, interprets=True)):
         leaves = np.asarray(search(p, q, limit))
     clearance = smallest_distances(p.reshape(-1, 3), q.reshape(-1, 3), cloud(name)).reshape(-1, LANES) - radius

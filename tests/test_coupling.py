@@ -227,8 +227,8 @@ def test_bodies_on_a_straight_path_move_no_further_than_the_bounds_at_1000_place
             tcp_sweep(robot, x, own),
         )
 
-    frames = jax.jit(jax.vmap(partial(kinematics.link_poses, robot)))
-    bounded, rng, tightest = jax.jit(bounds), np.random.default_rng(4), 0.0
+    frames = made_once.quick_jit(jax.vmap(partial(kinematics.link_poses, robot)))
+    bounded, rng, tightest = made_once.quick_jit(bounds), np.random.default_rng(4), 0.0
     for x in within(robot, 12, 1):
         rates, half = rng.normal(size=robot.dof) * rng.integers(0, 2, robot.dof), rng.choice([0.02, 0.2])
         if not rates.any():
@@ -315,8 +315,10 @@ def test_a_box_of_coordinates_confines_the_wrist_of_an_arm_whose_elbow_follows_i
     assert np.asarray(exclusion.before_wrist(robot)).tolist() == [True, True, False, False, False]
     assert np.asarray(kinematics.is_periodic(robot)).tolist() == [True, False, True, True, True]
     where, rng = made_once.nominal(), np.random.default_rng(6)
-    cell = jax.jit(lambda x, turns: exclusion.arm_cell(Scene(robot, ()), where, jnp.zeros(3), x, turns))
-    wrist = jax.jit(lambda x: kinematics.point_positions(robot, x, exclusion.wrist(robot).on_arm[None], (3,))[0])
+    cell = made_once.quick_jit(lambda x, turns: exclusion.arm_cell(Scene(robot, ()), where, jnp.zeros(3), x, turns))
+    wrist = made_once.quick_jit(
+        lambda x: kinematics.point_positions(robot, x, exclusion.wrist(robot).on_arm[None], (3,))[0]
+    )
     for x, turns in rng.uniform(0, 1, (20, 2, 5)) * [[1.0], [0.3]]:
         _, centre, moves = map(np.asarray, cell(x, turns))
         inside = [wrist(x + turns * rng.uniform(-1, 1, 5)) for _ in range(20)]

@@ -5,6 +5,7 @@ import re
 import warnings
 
 import jax
+import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -145,7 +146,7 @@ def kinematics_of(arm, rows: np.ndarray) -> list[np.ndarray]:
             kinematics.jacobian(arm, x),
         )
 
-    return list(map(np.asarray, jax.jit(jax.vmap(at))(rows)))
+    return list(map(np.asarray, made_once.quick_jit(jax.vmap(at))(rows)))
 
 
 def reference(text: str) -> mujoco.MjModel:

@@ -8,6 +8,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 import qpsolvers
@@ -28,8 +29,8 @@ def one_by_kernel(H, c, G, h, tolerance=1e-11, iterations=30) -> DenseSolution:
         return DenseSolution(*gpu_kernels.solve(H, c, G, h, tolerance, iterations))
 
 
-by_kernel = jax.jit(jax.vmap(one_by_kernel))
-by_xla = jax.jit(jax.vmap(solve_dense))
+by_kernel = made_once.quick_jit(jax.vmap(one_by_kernel))
+by_xla = made_once.quick_jit(jax.vmap(solve_dense))
 
 
 def random_qps(n, m, count=64, seed=0):
@@ -109,9 +110,11 @@ def test_a_lane_of_the_interior_point_kernel_does_not_notice_the_others():
     """Compare a lane alone, in a batch, and under two vmaps: the same bits."""
     qps = random_qps(3, 20, count=6)
     together = by_kernel(*qps)
-    twice = jax.jit(jax.vmap(jax.vmap(one_by_kernel)))(*(part.reshape(2, 3, *part.shape[1:]) for part in qps))
+    twice = made_once.quick_jit(jax.vmap(jax.vmap(one_by_kernel)))(
+        *(part.reshape(2, 3, *part.shape[1:]) for part in qps)
+    )
     for k in range(6):
-        alone = jax.jit(one_by_kernel)(*(part[k] for part in qps))
+        alone = made_once.quick_jit(one_by_kernel)(*(part[k] for part in qps))
         for a, b, c in zip(alone, together, twice, strict=True):
             np.testing.assert_array_equal(a, b[k])
             np.testing.assert_array_equal(a, c[k // 3, k % 3])
@@ -134,7 +137,7 @@ def test_a_gpu_gets_the_kernels_and_a_cpu_what_it_had():
 # The square roots of a covariance
 
 
-@jax.jit
+@made_once.quick_jit
 def square_roots(C):
     with compiled_for(INTERPRETED):
         return jax.vmap(gpu_kernels.square_roots)(C)
@@ -185,16 +188,20 @@ def test_a_generation_by_the_gpus_formulas_is_that_of_the_cpu_but_for_signs(seed
     rng, r = np.random.default_rng(seed), cma_es.strategy_parameters(20, 3)
     state = cma_es.start(jnp.array([1.0, -2.0, 0.5]), 0.3)._replace(C=jnp.asarray(covariances(3)[seed + 5]))
     samples, cost = rng.normal(size=(20, 3)), rng.normal(size=20)
-    cpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
+    cpu = made_once.quick_jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
     with compiled_for(INTERPRETED):
-        gpu = jax.jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
+        gpu = made_once.quick_jit(lambda *a: cma_es.tell(*a, r))(state, samples, cost)
     for ours, theirs in zip(gpu, cpu, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
 
 
 def test_clear_by_a_margin_is_the_verdict_of_the_distance():
     scene, where = toy.scene(), jax.tree.map(jnp.asarray, toy.scenario())
-    each = lambda query, *rows: jax.jit(jax.vmap(partial(query, scene.robot, scene.obstacles, where)))(*rows)  # noqa: E731
+
+    def each(query, *rows):
+        of = partial(query, scene.robot, scene.obstacles, where)
+        return made_once.quick_jit(jax.vmap(of))(*rows)
+
     x = np.random.default_rng(0).uniform(-1.5, 1.5, (64, 4))
     D = each(minimum_clearance, x)
     margin = jnp.maximum(D + np.tile([1e-9, -1e-9, 1e-3, 0.0], 16), 0.0)

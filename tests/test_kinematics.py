@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ class Found(NamedTuple):
     body_jacobians: np.ndarray  # (S, K, 3, N), of the points p
 
 
-@jax.jit
+@made_once.quick_jit
 @partial(jax.vmap, in_axes=(None, 0))
 def found_by(robot: Robot, x: jax.Array) -> Found:
     p, q = kinematics.capsule_segments(robot, x)
@@ -243,7 +244,7 @@ def test_jacobians_are_mujocos_and_the_derivative(arm):
         T = jnp.concatenate([kinematics.link_poses(robot, x), jnp.eye(4)[None]])[index]
         return jnp.einsum("pij,pj->pi", T[:, :3, :3], local) + T[:, :3, 3]
 
-    @jax.jit
+    @made_once.quick_jit
     @partial(jax.vmap, in_axes=(None, 0))
     def derivatives(robot: Robot, x: jax.Array):
         of_tcp = [derivative(kinematics.tcp_position, argnums=1)(robot, x) for derivative in (jax.jacfwd, jax.jacrev)]

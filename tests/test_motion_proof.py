@@ -25,8 +25,8 @@ from htcp_jax.validation.mujoco_arm import MujocoArm
 from htcp_jax.validation.mujoco_clearance import CheckedScene, Wall
 
 PLACES = 1000
-_PROVEN = jax.jit(prove)
-_TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)
+_PROVEN = made_once.quick_jit(prove)
+_TCP, _JACOBIAN = made_once.quick_jit(tcp_position), made_once.quick_jit(jacobian)
 
 
 def tcp(x):
@@ -97,7 +97,7 @@ def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     n, rng = len(robot.slides), np.random.default_rng(2)
     along = lambda x, rates: jax.jacfwd(jax.jacfwd(lambda s: tcp_position(robot, x + s * rates)))(0.0)  # noqa: E731
-    second, sweep = jax.jit(along), jax.jit(tcp_sweep)
+    second, sweep = made_once.quick_jit(along), made_once.quick_jit(tcp_sweep)
     tightest, alone = 0.0, 0.0
     for _ in range(300):
         x, half = rng.uniform(-2, 2, n), rng.uniform(0, 0.5) * rng.integers(0, 2)
@@ -114,7 +114,7 @@ def test_the_tcp_bends_no_more_than_the_bound(model, tmp_path):
 
 def test_a_slide_does_not_bend_the_way_of_the_tcp(tmp_path):
     """Check a slide alone, and before a hinge, where it does not change the bound."""
-    robot, sweep = load_robot(rail(tmp_path), limits="model"), jax.jit(tcp_sweep)
+    robot, sweep = load_robot(rail(tmp_path), limits="model"), made_once.quick_jit(tcp_sweep)
     of = lambda *rates: float(sweep(robot, jnp.zeros(3), JointSweep(jnp.array(rates), 0.3)).bend)  # noqa: E731
     assert of(1.0, 0.0, 0.0) == 0.0 and of(1.0, 0.5, 0.2) == of(0.0, 0.5, 0.2) > 0
 

@@ -18,7 +18,7 @@ from htcp_jax.model.task_rows import TaskPoint
 from htcp_jax.numerics import null_basis
 
 RNG = np.random.default_rng(0)
-BASIS = jax.jit(null_basis)
+BASIS = made_once.quick_jit(null_basis)
 
 
 @pytest.mark.parametrize(("m", "n"), [(3, 6), (3, 7), (3, 4), (1, 3), (2, 9), (5, 6)])
@@ -79,7 +79,7 @@ def test_each_column_is_positive_along_the_joint_that_sticks_out_furthest():
 
 def test_the_basis_is_the_same_in_a_batch_to_rounding():
     J = RNG.normal(size=(64, 3, 6))
-    together = jax.jit(jax.vmap(null_basis))(jnp.asarray(J))
+    together = made_once.quick_jit(jax.vmap(null_basis))(jnp.asarray(J))
     np.testing.assert_allclose(together, [BASIS(jnp.asarray(each)) for each in J], atol=1e-13)
 
 
@@ -98,7 +98,7 @@ def test_a_step_in_the_null_space_keeps_the_tcp_to_first_order(arm):
 
 
 TOLERANCE_M = 1e-4
-REANCHOR = jax.jit(reanchor, static_argnames=("tolerance_m", "iterations"))
+REANCHOR = made_once.quick_jit(reanchor, static_argnames=("tolerance_m", "iterations"))
 
 
 def test_reanchoring_ends_inside_the_limits_and_on_the_target_or_says_that_it_did_not(arm):
@@ -149,15 +149,15 @@ def test_reanchoring_has_one_derivative_in_forward_and_reverse_mode_and_by_diffe
     tilted = (tcp[:3, 2] + 0.3 * tcp[:3, 0]) / np.sqrt(1 + 0.3**2)  # by 0.29 rad: the cone below is violated at x
     goal = jnp.concatenate([tcp[:3, 3] + jnp.array([0.02, -0.03, 0.01]), tilted, jnp.array([0.2])])[: task.numbers]
 
-    @jax.jit
     def found(x, p, extension_m):
         target = jnp.concatenate([p, goal[3:]])
         return reanchor(lengthen_tool(arm, extension_m), x, target, 1e-11, task=task)[0]
 
-    at = x, goal[:3], jnp.zeros(())
-    there, which = found(*at), (0, 1, 2)
+    at, which = (x, goal[:3], jnp.zeros(())), (0, 1, 2)
+    forward, reverse = (made_once.quick_jit(mode(found, which))(*at) for mode in (jax.jacfwd, jax.jacrev))
+    found = made_once.quick_jit(found)
+    there = found(*at)
     assert np.linalg.norm(there - x) > 0.01
-    forward, reverse = (jax.jit(mode(found, which))(*at) for mode in (jax.jacfwd, jax.jacrev))
     for k, (one, other) in enumerate(zip(forward, reverse, strict=True)):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
         np.testing.assert_allclose(other, differences(found, at, k, 1e-5), rtol=0, atol=1e-7)
@@ -170,17 +170,16 @@ def test_the_gradient_of_the_clearance_by_the_tools_length_and_the_parts_place_i
     arm, obstacle, where = made_once.robot(), made_once.scene().obstacles, made_once.nominal()
     x, p = jnp.asarray(made_once.START), jnp.asarray(where.targets[30])
 
-    @jax.jit
     def D(extension_m, shift_m):
         longer = lengthen_tool(arm, extension_m)
         moved = replace(where, T_world_workpiece=jnp.asarray(where.T_world_workpiece).at[:3, 3].add(shift_m))
         on_target, _ = reanchor(longer, x, p + shift_m, 1e-11)
         return minimum_clearance(longer, obstacle, moved, on_target)
 
-    at = jnp.zeros(()), jnp.zeros(3)
-    for k, slope in enumerate(jax.jit(jax.grad(D, argnums=(0, 1)))(*at)):
+    at, quick = (jnp.zeros(()), jnp.zeros(3)), made_once.quick_jit(D)
+    for k, slope in enumerate(made_once.quick_jit(jax.grad(D, argnums=(0, 1)))(*at)):
         assert np.linalg.norm(slope) > 1e-3
-        np.testing.assert_allclose(slope, differences(D, at, k, 1e-6), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(slope, differences(quick, at, k, 1e-6), rtol=0, atol=1e-7)
 
 
 def test_reanchoring_stops_at_its_iterations(arm):

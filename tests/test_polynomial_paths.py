@@ -34,7 +34,7 @@ def test_bodies_near_a_polynomial_move_no_further_than_the_bounds_at_1000_config
     def ends(x):
         return jnp.stack(kinematics.capsule_segments(robot, x)), kinematics.tcp_position(robot, x)
 
-    bounded, frames = jax.jit(bounds), jax.jit(jax.vmap(ends))
+    bounded, frames = made_once.quick_jit(bounds), made_once.quick_jit(jax.vmap(ends))
     rng, tightest = np.random.default_rng(5), 0.0
     for number in range(24):
         degree, half, wide = rng.integers(1, C), rng.choice([1e-3, 0.02, 0.2]), rng.choice([0.0, 1e-3, 0.05])

@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 import qpsolvers
@@ -15,6 +16,7 @@ from htcp_jax.solvers import ClarabelSolver, QPSolversSolver
 from htcp_jax.solvers.interior_point import solve_dense
 from htcp_jax.solvers.step_qp import QPStatus, StepQP, assemble, row_count, scaled_weights
 
+_DENSE = made_once.quick_jit(solve_dense)
 WEIGHTS = 2 * np.array(Settings().q_weights)
 N = len(WEIGHTS)
 ORACLE = pytest.param(
@@ -369,7 +371,7 @@ def test_the_dense_solver_finds_the_answer_that_a_qp_was_built_from(n, degenerat
             H, c, G, h, y = dense_answer(rng, n, m, degenerate)
             box = np.eye(n)[:-1]
             G, h = np.concatenate([G, box, -box]), np.concatenate([h, np.full(2 * n - 2, 2.0)])
-            found = solve_dense(*map(jnp.asarray, (H, c, G, h)))
+            found = _DENSE(*map(jnp.asarray, (H, c, G, h)))
             got = np.asarray(found.y)
             assert found.error < 2e-10
             assert (G @ got <= h + 1e-10).all() and (np.asarray(found.multipliers) >= 0).all()
@@ -387,7 +389,7 @@ def test_the_dense_solver_keeps_its_best_iterate_where_rounding_ends_it():
     G = np.array([[0.0, 0.0, 1.0], [1e-9, 0.0, 1.0], [0.0, 1e-9, 1.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     for radius in (0.5, 1e-3, 1e-6):
         h = np.array([0.0, 0.0, 0.0, radius, radius, radius, radius])
-        found = solve_dense(H, c, *map(jnp.asarray, (G, h)))
+        found = _DENSE(H, c, *map(jnp.asarray, (G, h)))
         assert found.error < 1e-9 and np.isfinite(found.y).all()
 
 
@@ -399,5 +401,5 @@ def test_the_dense_solver_agrees_with_another_one(name):
         root = rng.normal(size=(n, n))
         H, c = root @ root.T + 0.1 * np.eye(n), rng.normal(size=n)
         G, h = rng.normal(size=(m, n)), rng.uniform(0.0, 1.0, m)
-        found = solve_dense(*map(jnp.asarray, (H, c, G, h)))
+        found = _DENSE(*map(jnp.asarray, (H, c, G, h)))
         np.testing.assert_allclose(found.y, qpsolvers.solve_qp(H, c, G, h, solver=name), atol=1e-7)

@@ -24,7 +24,7 @@ from htcp_jax.solvers.active_set import solve_step
 from htcp_jax.solvers.step_qp import QPSolver, QPStatus, StepQP, row_count
 from htcp_jax.status import Status
 
-solve = jax.jit(jax.vmap(solve_step))
+solve = made_once.quick_jit(jax.vmap(solve_step))
 [BASELINE] = [method for method in BUILT_IN if method.name == "baseline"]
 START = np.array([0.0, -2.3, 0.5, 0.0, 0.5, -2.0])
 

@@ -38,17 +38,17 @@ SETTINGS = Settings()
 @cache
 def jitted(function, settings):
     """`function(scene, settings, ...)`, compiled once for all tests."""
-    return jax.jit(lambda scene, *rest: function(scene, settings, *rest))
+    return made_once.quick_jit(lambda scene, *rest: function(scene, settings, *rest))
 
 
 def run(function, *rest, settings=SETTINGS):
     return jax.tree.map(np.asarray, jitted(function, settings)(made_once.scene(), *rest))
 
 
-_D = jax.jit(minimum_clearance)
-_CLEAR = jax.jit(jax.vmap(is_clear, (None, None, None, 0)))
+_D = made_once.quick_jit(minimum_clearance)
+_CLEAR = made_once.quick_jit(jax.vmap(is_clear, (None, None, None, 0)))
 AHEAD = np.array([0.0, 3e-3, 0.0])
-_TCP, _JACOBIAN = jax.jit(tcp_position), jax.jit(jacobian)
+_TCP, _JACOBIAN = made_once.quick_jit(tcp_position), made_once.quick_jit(jacobian)
 
 
 def D(where, x):

@@ -59,7 +59,9 @@ class CachedArm(MujocoArm):
 
 
 def tool() -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(partial(tcp_pose, made_once.robot())))(jnp.asarray(configurations())))
+    return np.asarray(
+        made_once.quick_jit(jax.vmap(partial(tcp_pose, made_once.robot())))(jnp.asarray(configurations()))
+    )
 
 
 @cache
@@ -116,7 +118,7 @@ def bounded():
 
     pairs = jnp.asarray(np.stack([goals[:-1], goals[1:]], axis=1))
     places = jnp.linspace(half, 1.0 - half, INTERVALS)
-    each = jax.jit(jax.vmap(jax.vmap(on, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, None)))
+    each = made_once.quick_jit(jax.vmap(jax.vmap(on, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, None)))
     inside, broken = each(pairs, *map(jnp.asarray, segments()), places)
     return np.asarray(inside).all(axis=1), np.asarray(broken)
 
@@ -154,7 +156,7 @@ def test_a_row_that_is_proven_to_hold_does_so_at_a_thousand_places_and_one_that_
 def test_the_proof_of_a_motion_respects_them_where_they_are_asked_for():
     """Proof of a motion with the task's rows: it implies them by MuJoCo; without rows the verdict is as before."""
     task, goals, _ = held()
-    scene, proven = Scene(*made_once.scene()[:2], task), jax.jit(prove)
+    scene, proven = Scene(*made_once.scene()[:2], task), made_once.quick_jit(prove)
     inside, broken = bounded()
     for segment_status in range(0, PATHS, 3):
         a, b = (end[segment_status] for end in segments())

@@ -53,7 +53,7 @@ def mujoco_distances(model: mujoco.MjModel, pairs, configurations) -> np.ndarray
 def test_the_distances_of_pairs_are_mujocos(name, tmp_path):
     robot, model = arm(name, tmp_path)
     own, configurations = make_self_collision(robot), made_once.configurations(robot, 300)
-    ours = jax.jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(configurations)
+    ours = made_once.quick_jit(jax.vmap(partial(clearances, robot, (own,), made_once.nominal())))(configurations)
     theirs = mujoco_distances(model, own.pairs, configurations)
     crossing = theirs < -0.99 * np.asarray(robot.capsule_radius)[np.array(own.pairs)].sum(axis=1)  # axis through axis
     np.testing.assert_allclose(np.where(crossing, 0, ours), np.where(crossing, 0, theirs), atol=1e-9)
@@ -105,12 +105,12 @@ def test_the_row_of_an_arm_with_many_capsules_is_that_of_the_row_alone():
     assert len(pairs) > FEW_PAIRS
     measured = lambda own, x: contacts(many, (own,), where, x)  # noqa: E731
     rows, x = own.rows(many), made_once.configurations(many, 20)
-    found = jax.jit(jax.vmap(partial(measured, own)))(x)
+    found = made_once.quick_jit(jax.vmap(partial(measured, own)))(x)
     for row in range(0, len(rows.body), 7):
         body, other = rows.body[row], rows.other[row]
         alone = SelfCollision(tuple((a, b) for a, b in pairs if a == body and many.capsule_link[b] == other))
         assert len(alone.pairs) <= FEW_PAIRS
-        expected = jax.jit(jax.vmap(partial(measured, alone)))(x)
+        expected = made_once.quick_jit(jax.vmap(partial(measured, alone)))(x)
         np.testing.assert_allclose(found.distance[:, row], expected.distance[:, 0], atol=1e-12)
         np.testing.assert_allclose(found.radius[:, row], expected.radius[:, 0], atol=1e-12)
         np.testing.assert_allclose(found.point[:, row], expected.point[:, 0], atol=1e-7)
@@ -127,9 +127,9 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
         robot, _ = arm(name, tmp_path)
         own, rng, n = SelfCollision(((2, 0), (2, 1))), np.random.default_rng(3), len(robot.slides)
         rows, tightest = own.rows(robot), 0.0
-        bound = jax.jit(partial(pair_travel_bound, robot, rows))
-        everywhere = jax.jit(partial(travel_bound, robot))
-        ends = jax.jit(lambda x, robot=robot: (link_poses(robot, x), *capsule_segments(robot, x)))
+        bound = made_once.quick_jit(partial(pair_travel_bound, robot, rows))
+        everywhere = made_once.quick_jit(partial(travel_bound, robot))
+        ends = made_once.quick_jit(lambda x, robot=robot: (link_poses(robot, x), *capsule_segments(robot, x)))
         for _ in range(100):
             x, rates = rng.uniform(-1, 1, n), rng.normal(size=n)
             half = rng.choice([0.01, 0.1, 0.5])
@@ -149,7 +149,7 @@ def test_a_pairs_body_moves_no_further_than_the_bound_as_seen_from_the_other(tmp
 def test_a_proven_joint_path_keeps_the_pairs_apart_at_a_thousand_places_and_a_refuted_one_does_not(tmp_path):
     robot, model = arm("seven", tmp_path)
     own, where, rng = make_self_collision(robot), made_once.nominal(), np.random.default_rng(0)
-    proof = jax.jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b, kept=0.5))
+    proof = made_once.quick_jit(lambda a, b: prove(Scene(robot, (own,)), where, a, b, kept=0.5))
     verdicts = []
     for a in made_once.configurations(robot, 24):
         b = a + rng.uniform(-0.6, 0.6, 7)
@@ -176,8 +176,8 @@ def test_turning_the_base_moves_no_pair_that_turns_with_it(tmp_path):
 def test_the_gradient_of_a_pair_is_that_of_its_distance(tmp_path):
     robot, _ = arm("seven", tmp_path)
     own, where, h = (make_self_collision(robot),), made_once.nominal(), 1e-6
-    value = jax.jit(partial(clearances, robot, own, where))
-    rows = jax.jit(partial(clearance_rows, robot, own, where))
+    value = made_once.quick_jit(partial(clearances, robot, own, where))
+    rows = made_once.quick_jit(partial(clearance_rows, robot, own, where))
     odd = 0
     for x in made_once.configurations(robot, 20, seed=4):
         slope = np.stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(7)], axis=1)

@@ -46,7 +46,7 @@ def task_of(name: str, **more) -> tuple[Task, jax.Array]:
     return Task((part,), **more), jnp.asarray(goal, float)
 
 
-@jax.jit
+@made_once.quick_jit
 def frames_at(robot, x):
     return tcp_pose(robot, x), link_poses(robot, x)
 
@@ -80,7 +80,7 @@ def by_scipy(name: str, x) -> np.ndarray:
 ALIKE = {"tolerance_m": 1e-3, "tolerance_rad": 1e-3}  # with equal tolerances an angle is not scaled
 
 
-@jax.jit
+@made_once.quick_jit
 @jax.vmap
 def numbers_at(x):
     """Errors or slacks of all kinds, the least turns of the last link, and the slopes of the rows, by one program."""
@@ -105,7 +105,7 @@ def rows_at(x) -> dict:
     return found
 
 
-@jax.jit
+@made_once.quick_jit
 @jax.vmap
 def slopes_at(x):
     """Rows of all kinds, their own Jacobians and those of jacfwd, by one program."""
@@ -181,7 +181,7 @@ def test_the_least_turn_of_the_last_link_is_what_scipy_says_and_none_where_a_row
     np.testing.assert_allclose(turn[name], np.maximum(off, 0.0) if counts else 0.0, atol=1e-9)
 
 
-@jax.jit
+@made_once.quick_jit
 @jax.vmap
 def residuals_at(x):
     """Residuals and Jacobians of the equalities of all kinds, each at its own configuration."""
@@ -227,7 +227,7 @@ def test_inverse_kinematics_comes_onto_it_and_its_null_space_leaves_it_alone(nam
 def test_a_broken_cone_is_never_reached_however_little_it_is_broken():
     task = Task((TaskPoint(), AxisTowards(None, Z)))
     robot, x = made_once.robot(), jnp.asarray(made_once.START)
-    T, residual_at = frame(None, x), jax.jit(task.residual_at)
+    T, residual_at = frame(None, x), made_once.quick_jit(task.residual_at)
     off = np.arccos(T[2, 2])
     for limit, reached in [(off + 1e-6, True), (off - 1e-6, False), (off - 1e-3, False)]:
         goal = np.array([*T[:3, 3], 0.0, 0.0, 1.0, limit])
@@ -236,7 +236,7 @@ def test_a_broken_cone_is_never_reached_however_little_it_is_broken():
 
 def test_the_rotation_vector_is_scipys_also_next_to_half_a_turn():
     rng = np.random.default_rng(0)
-    vector_of = jax.jit(rotation_vector)
+    vector_of = made_once.quick_jit(rotation_vector)
     for size in (0.0, 1e-9, 1e-3, 1.0, 2.0, 2.5, 3.1, np.pi - 1e-4):
         axis = rng.normal(size=3)
         vector = size * axis / np.linalg.norm(axis)
@@ -245,7 +245,7 @@ def test_the_rotation_vector_is_scipys_also_next_to_half_a_turn():
 
 
 def test_an_axis_that_points_the_other_way_is_half_a_turn_off_and_one_that_is_there_not_at_all():
-    @jax.jit
+    @made_once.quick_jit
     def error_and_slope(axis, direction):
         return axis_error(axis, direction), jax.jacfwd(axis_error)(axis, direction)
 

@@ -1,6 +1,5 @@
 """The bare tip: it must not pass through a wall, except with its very end."""
 
-import jax
 import made_once
 import numpy as np
 import pytest
@@ -21,7 +20,9 @@ MESHES = {
     "sphere": trimesh.creation.icosphere(3, 0.2),
 }
 
-_TIP = jax.jit(lambda robot, x: (tip_segment(robot, x), *capsule_segments(robot, x), tcp_position(robot, x)))
+_TIP = made_once.quick_jit(
+    lambda robot, x: (tip_segment(robot, x), *capsule_segments(robot, x), tcp_position(robot, x))
+)
 
 
 def tips(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:
