@@ -131,7 +131,7 @@ def compiled_from(executables: ExecutableCache, *lane_functions: LaneFunction) -
 
 
 @cache
-def in_rows(function: Callable, count: int, jit: Callable = jax.jit) -> Callable:
+def in_rows(function: Callable, count: int, jit: Callable = quick_jit) -> Callable:
     """`function(*shared, *row)` as `call(shared, *rows)` for any number of rows, by one program for `count` of them."""
     compiled = jit(lambda shared, rows: jax.lax.map(lambda row: function(*shared, *row), rows))
 
@@ -161,7 +161,7 @@ def _clearance_and_tcp(robot, obstacles, where, x):
 def measured(where, x: np.ndarray, arm: Robot | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Clearance (n,) of the robot, or of one with another tool, in the duct and its TCP (n, 3) [m] at x (n, 6)."""
     pose = Pose(*map(jnp.asarray, (where.T_world_workpiece, where.interior_plane)))
-    return in_rows(_clearance_and_tcp, 200)((arm or robot(), scene().obstacles, pose), x)
+    return in_rows(_clearance_and_tcp, 200, jax.jit)((arm or robot(), scene().obstacles, pose), x)
 
 
 ENDS = jax.jit(jax.vmap(lambda robot, x: (*capsule_segments(robot, x), tcp_position(robot, x)), (None, 0)))

@@ -35,7 +35,10 @@ def task(kind: str) -> Task:
 
 def calls(kind: str) -> dict:
     """Tables of calls for a task: goals that configurations satisfy, and others near these configurations."""
-    there, value = made_once.configurations_near(toy.START, COUNT, 0.2), jax.jit(jax.vmap(task(kind).value, (None, 0)))
+    there, value = (
+        made_once.configurations_near(toy.START, COUNT, 0.2),
+        made_once.quick_jit(jax.vmap(task(kind).value, (None, 0))),
+    )
     goals = np.column_stack([np.asarray(value(toy.robot(), there)), np.full(COUNT, HALF_ANGLES[kind])])
     inputs = lane_inputs(stack([toy.scenario()]), np.zeros(COUNT, int), np.zeros(COUNT, int))
     inputs = inputs._replace(target=goals)
@@ -73,7 +76,7 @@ def test_the_rows_of_a_task_are_those_of_its_own(kind):
     inputs, x, y = calls(kind)[ADVANCE]
     own, linear = task(kind), executor(kind, SHARED)(ADVANCE, inputs, x, y).linear
     rows = own.own_rows(executor(kind, SHARED)(TASK_ROWS, inputs, linear))
-    alone = jax.jit(jax.vmap(own.linear_at, (None, 0, 0)))(toy.robot(), x, inputs.target)
+    alone = made_once.quick_jit(jax.vmap(own.linear_at, (None, 0, 0)))(toy.robot(), x, inputs.target)
     for leaf, other in zip(rows, alone, strict=True):
         assert leaf.shape == other.shape
         np.testing.assert_allclose(leaf, other, rtol=0, atol=1e-12)

@@ -245,7 +245,9 @@ def test_what_is_drawn_of_a_shape_lies_on_it(tmp_path):
     (tmp_path / "cell.xml").write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     for shape in load_cell(tmp_path / "cell.xml"):
         solid, corners = jax.tree.map(jnp.asarray, solid_of(shape)), jnp.asarray(shape.surface.reshape(-1, 3))
-        np.testing.assert_allclose(jax.jit(jax.vmap(solid.contact))(corners, corners).distance, 0.0, atol=1e-7)
+        np.testing.assert_allclose(
+            made_once.quick_jit(jax.vmap(solid.contact))(corners, corners).distance, 0.0, atol=1e-7
+        )
 
 
 def test_the_picture_of_a_plan_shows_its_cell(cell, tmp_path):
@@ -272,7 +274,7 @@ def test_a_plan_next_to_a_fixture_is_as_mujoco_measures_it_and_refuted_where_the
     job["cell"] |= {"moved": "post", "shift_m": (0.5 * (p + q) + 0.06 * aside - [2, 2, 1]).tolist()}
     plan = htcp_jax.plan(job)
     duct = htcp_jax.make_obstacle(plan.workpiece)
-    alone = jax.jit(jax.vmap(partial(minimum_clearance, plan.robot, duct, plan.scenario)))
+    alone = made_once.quick_jit(jax.vmap(partial(minimum_clearance, plan.robot, duct, plan.scenario)))
     tracked = plan.plans.tracked[0]
     assert tracked.any() and (alone(plan.plans.x[0, tracked]) > plan.plans.clearance[0, tracked] + 1e-3).all()
     plan.save(tmp_path / "plan")

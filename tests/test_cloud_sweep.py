@@ -141,7 +141,7 @@ def test_a_proof_as_on_a_gpu_is_the_same_proof(as_on_a_gpu):
 def test_the_arm_is_as_clear_on_an_interval_as_is_said_and_clearer_than_travel_alone_says():
     """Check 200 samples on joint paths of all lengths from recorded configurations."""
     scene, gained = Scene(*made_once.scene()), 0
-    look, travel = quick_jit(lambda *given: on_interval(*given)[0]), jax.jit(travel_bound)
+    look, travel = quick_jit(lambda *given: on_interval(*given)[0]), quick_jit(travel_bound)
     everywhere = quick_jit(lambda where, xs: jax.lax.map(lambda x: minimum_clearance(*scene[:2], where, x), xs))
     for where, a, b, _ in motions():
         x, rates = (a + b) / 2, b - a

@@ -3,13 +3,14 @@
 import cma
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 from cma.utilities.math import Mh
 
 from htcp_jax.solvers import cma_es
 
-TELL = jax.jit(cma_es.tell, static_argnames="r")
+TELL = made_once.quick_jit(cma_es.tell, static_argnames="r")
 
 
 class Hashable(cma_es.StrategyParameters):
@@ -123,7 +124,7 @@ def test_it_finds_a_minimum():
     rates = Hashable(*cma_es.strategy_parameters(20, 4))
     distribution = cma_es.start(jnp.ones(4), 0.5)
     scale = jnp.geomspace(1, 100, 4)
-    ask = jax.jit(lambda d, g: cma_es.ask(d, jax.random.fold_in(jax.random.key(1), g), 20))
+    ask = made_once.quick_jit(lambda d, g: cma_es.ask(d, jax.random.fold_in(jax.random.key(1), g), 20))
     for generation in range(80):
         samples = ask(distribution, generation)
         costs = jnp.sum(scale[None, :] * (samples - 0.3) ** 2, axis=1)

@@ -38,8 +38,10 @@ from htcp_jax.settings import Settings
 from htcp_jax.status import SegmentStatus, Status
 
 MANY, MARGIN_M = 200, 0.001
-TIPS = jax.jit(jax.vmap(lambda robot, where, x: in_workpiece(where, tip_segment(robot, x)), (None, None, 0)))
-TCPS = jax.jit(jax.vmap(tcp_position, (None, 0)))
+TIPS = made_once.quick_jit(
+    jax.vmap(lambda robot, where, x: in_workpiece(where, tip_segment(robot, x)), (None, None, 0))
+)
+TCPS = made_once.quick_jit(jax.vmap(tcp_position, (None, 0)))
 
 
 @cache

@@ -22,7 +22,7 @@ def duct_hull():
 def crossed(normal, offset, points, requested=None, vertices=None):
     requested = np.ones(len(points), bool) if requested is None else requested
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices if vertices is None else vertices)
-    return np.asarray(jax.jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(requested)))
+    return np.asarray(made_once.quick_jit(crossed_facets)(hull, jnp.asarray(points), jnp.asarray(requested)))
 
 
 def points_about(normal, offset, count):
@@ -51,8 +51,8 @@ def test_the_facet_crossed_is_the_one_furthest_beyond():
 def test_without_a_facet_every_point_is_infinitely_deep_inside():
     points, requested = jnp.asarray(RNG.normal(size=(50, 3))), jnp.ones(50, bool)
     everywhere = half_spaces(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
-    assert (jax.jit(crossed_facets)(everywhere, points, requested) == -1).all()
-    assert (jax.jit(depths)(everywhere, points, requested) == np.inf).all()
+    assert (made_once.quick_jit(crossed_facets)(everywhere, points, requested) == -1).all()
+    assert (made_once.quick_jit(depths)(everywhere, points, requested) == np.inf).all()
 
 
 def test_a_point_not_asked_about_has_crossed_nothing():
@@ -125,8 +125,8 @@ def test_a_batch_equals_one_after_the_other():
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 40)).reshape(10, 8, 3)
     requested = jnp.asarray(RNG.random((10, 8)) < 0.7)
-    together = jax.jit(jax.vmap(crossed_facets, in_axes=(None, 0, 0)))(hull, points, requested)
-    alone = jax.jit(crossed_facets)
+    together = made_once.quick_jit(jax.vmap(crossed_facets, in_axes=(None, 0, 0)))(hull, points, requested)
+    alone = made_once.quick_jit(crossed_facets)
     np.testing.assert_array_equal(together, [alone(hull, *each) for each in zip(points, requested, strict=True)])
 
 
@@ -134,7 +134,7 @@ def test_a_depth_is_never_more_than_the_true_one():
     normal, offset = duct_hull()
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = points_about(normal, offset, 500)
-    found = np.asarray(jax.jit(depths)(hull, points, np.ones(len(points), bool)))
+    found = np.asarray(made_once.quick_jit(depths)(hull, points, np.ones(len(points), bool)))
     true = np.maximum(-(points @ normal.T - offset).max(1), 0)
     assert (found <= true + 1e-15).all() and (found > 0).sum() > 0.9 * (true > 0).sum()
 
@@ -147,7 +147,7 @@ def test_a_gpu_finds_the_same_with_a_kernel_and_without(ask, kernel):
     hull = half_spaces(normal, offset, made_once.duct().hull_vertices)
     points = jnp.asarray(points_about(normal, offset, 200)).reshape(25, 16, 3)
     requested = jnp.asarray(RNG.random((25, 16)) < 0.7)
-    expected = jax.jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
+    expected = made_once.quick_jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
     with compiled_for(Backend("gpu", kernel, interprets=True)):
-        found = jax.jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
+        found = made_once.quick_jit(jax.vmap(ask, in_axes=(None, 0, 0)))(hull, points, requested)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)  # the kernel uses 32-bit values

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import jax
 import jax.numpy as jnp
 import made_once
 import numpy as np
@@ -85,7 +84,7 @@ def test_no_point_of_a_body_moves_further_than_the_bound(model, tmp_path):
     """Check random configurations, steps up to 0.5 rad, and random points on the axes, for hinges and a slide."""
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(1), len(robot.slides)
-    bound, ends = jax.jit(motion_bound), jax.jit(capsule_segments)
+    bound, ends = made_once.quick_jit(motion_bound), made_once.quick_jit(capsule_segments)
     tightest = 0.0
     for _ in range(200):
         x, turns = jnp.asarray(rng.uniform(-1, 1, n)), jnp.asarray(rng.uniform(0, 0.5, n) * rng.integers(0, 2, n))
@@ -107,7 +106,11 @@ def test_no_point_of_a_body_travels_further_on_a_joint_path_than_the_bound(model
     """
     robot = made_once.robot() if model == "gp50" else load_robot(rail(tmp_path), limits="model")
     rng, n = np.random.default_rng(3), len(robot.slides)
-    bound, by_turns, ends = jax.jit(travel_bound), jax.jit(motion_bound), jax.jit(capsule_segments)
+    bound, by_turns, ends = (
+        made_once.quick_jit(travel_bound),
+        made_once.quick_jit(motion_bound),
+        made_once.quick_jit(capsule_segments),
+    )
     tightest, gain = 0.0, 1.0
     for _ in range(200):
         x, rates, half = rng.uniform(-1, 1, n), rng.normal(size=n) * rng.integers(0, 2, n), rng.choice([0.01, 0.1, 0.5])

@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
+import made_once
 import mujoco
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def in_mujoco(xml: str, joints: tuple[str, ...], part: str, x: np.ndarray) -> tu
     return tuple(map(np.array, zip(*found, strict=True)))
 
 
-@jax.jit
+@made_once.quick_jit
 @partial(jax.vmap, in_axes=(None, 0))
 def by_chain(robot, x):
     """The numbers of `in_mujoco`, by the chain from the part."""
@@ -249,7 +250,7 @@ def test_the_world_is_as_far_from_the_arm_as_it_stands_whatever_the_table_does(j
     still = x.copy()
     still[:, 0] = 0.3
     arm = MujocoArm(Path(job["robot"]["model"]))
-    p, _ = jax.jit(jax.vmap(kinematics.capsule_segments, (None, 0)))(robot, np.vstack([x, still]))
+    p, _ = made_once.quick_jit(jax.vmap(kinematics.capsule_segments, (None, 0)))(robot, np.vstack([x, still]))
     p = np.asarray(p)
     np.testing.assert_allclose(p[:50, : len(arm.names)], arm.arm_poses(x).p, atol=1e-9)
     pillar, hand = robot.capsule_names.index("pillar"), robot.capsule_names.index("tool")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 from hand_made import plans_with
@@ -73,7 +74,7 @@ def test_the_arm_is_brought_to_where_the_task_is_held():
     anywhere = scenario.task_goals.copy()
     anywhere[:, -1] = np.pi  # a cone of 180 degrees
     free = obstruction(arm, part, replace(scenario, task_goals=anywhere), *known[3:], task=task)
-    measure, goal = jax.jit(task.residual_at), jnp.asarray(scenario.task_goals[60])
+    measure, goal = made_once.quick_jit(task.residual_at), jnp.asarray(scenario.task_goals[60])
     off = [float(measure(arm, jnp.asarray(found.x), goal)) for found in (held, free)]
     assert held.reached and off[0] <= SETTINGS.tolerance_m < off[1]
 

@@ -51,7 +51,7 @@ def planned(method):
     return plan(Problem.of(*scene(), poses(), PAPER), method)
 
 
-_ENDS, _TCP = jax.jit(capsule_segments), jax.jit(tcp_position)
+_ENDS, _TCP = made_once.quick_jit(capsule_segments), made_once.quick_jit(tcp_position)
 
 
 def numpy_D(robot, workpiece, scenario, x):

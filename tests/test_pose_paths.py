@@ -4,7 +4,6 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import made_once
 import mujoco
@@ -30,7 +29,7 @@ POINTS, STEP_M, TURN_RAD = 4, 0.01, 0.02
 def job(tmp_path):
     """Job of seven joints with a short line of poses that turn along it; without obstacles."""
     arm = made_once.seven_joints(tmp_path)
-    T = np.asarray(jax.jit(tcp_pose)(arm, jnp.asarray(MIDDLE)))
+    T = np.asarray(made_once.quick_jit(tcp_pose)(arm, jnp.asarray(MIDDLE)))
     places = T[:3, 3] + np.outer(STEP_M * np.arange(POINTS), [0, 0.6, 0.8])
     turned = Rotation.from_rotvec(np.outer(TURN_RAD * np.arange(POINTS), [1, 0, 0])) * Rotation.from_matrix(T[:3, :3])
     table = np.column_stack([places, turned.as_quat(scalar_first=True)])

@@ -21,7 +21,7 @@ from htcp_jax.validation.task_check import PartPose, hold_between
 SHARES = np.linspace(0, 1, 9)  # of a segment, where it is checked
 SIZES = np.geomspace(0.3, 1e-7, 60)  # of displacements, tried in turn
 ON = np.ones(PATHS, bool)
-_POSES = jax.jit(jax.vmap(link_poses, (None, 0)))
+_POSES = made_once.quick_jit(jax.vmap(link_poses, (None, 0)))
 
 
 @cache

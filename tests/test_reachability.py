@@ -235,7 +235,7 @@ def test_the_cells_cover_every_orientation_in_which_the_tool_is_clear(found):
         return minimum_clearance(only, scene.obstacles, moved, x), link_poses(robot, x)[-1, :3, :3]
 
     x = np.random.default_rng(1).uniform(-np.pi, np.pi, (3000, 6))
-    D, R = jax.jit(lambda x: jax.lax.map(measure, x))(x)
+    D, R = made_once.quick_jit(lambda x: jax.lax.map(measure, x))(x)
     q = Rotation.from_matrix(np.asarray(R)).as_quat()[:, [3, 0, 1, 2]]
     inside = 2 * np.arccos(np.clip(np.abs(q @ cells.quaternion.T), 0, 1)) <= cells.radius_rad
     clear = np.asarray(D) >= where.margin_m

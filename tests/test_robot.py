@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import made_once
 import numpy as np
 import pytest
 
@@ -116,7 +117,7 @@ def configurations(count: int) -> np.ndarray:
 
 
 def over(function, robot: Robot, xs: np.ndarray):
-    return jax.jit(jax.vmap(lambda x: function(robot, x)))(jnp.asarray(xs))
+    return made_once.quick_jit(jax.vmap(lambda x: function(robot, x)))(jnp.asarray(xs))
 
 
 # The GP50
@@ -227,7 +228,7 @@ def test_tool_length_may_be_traced():
         return kinematics.tcp_position(lengthen_tool(robot, e), x)
 
     lengths = jnp.array([-0.02, 0.0, 0.05])
-    swept = jax.jit(jax.vmap(tcp))(lengths)
+    swept = made_once.quick_jit(jax.vmap(tcp))(lengths)
     np.testing.assert_allclose(swept, [tcp(e) for e in lengths], rtol=0, atol=1e-15)
     z = kinematics.tcp_pose(robot, x)[:3, 2]
     np.testing.assert_allclose(jax.jacfwd(tcp)(jnp.array(0.0)), z, rtol=0, atol=1e-15)

@@ -83,10 +83,10 @@ def values(row, tools: np.ndarray) -> jnp.ndarray:
 def test_angles_and_limits_are_those_of_the_definition_at_a_thousand_poses(limits):
     row, tools, goals, good = row_and_goals(limits, np.random.default_rng(2))
     value, goals = values(row, tools), jnp.asarray(goals)
-    error, slack = jax.jit(jax.vmap(lambda v, g: (row.error(v, g), row.slack(v, g))))(value, goals)
+    error, slack = made_once.quick_jit(jax.vmap(lambda v, g: (row.error(v, g), row.slack(v, g))))(value, goals)
     found = (np.linalg.norm(error, axis=1) < 1e-9) & (np.asarray(slack) > -1e-9).all(axis=1)
     assert (found == good).all() and 0.05 < good.mean() < 0.95
-    region = jax.jit(jax.vmap(lambda g: row.between(jnp.stack([g, g]), 0.0, 1e-9)))(goals)
+    region = made_once.quick_jit(jax.vmap(lambda g: row.between(jnp.stack([g, g]), 0.0, 1e-9)))(goals)
     inside = np.einsum("nkcv,nv->nkc", region.vectors, value) + region.beyond
     assert ((inside > -1e-9).all(axis=2).any(axis=1) == good).all()
 
@@ -95,8 +95,8 @@ def test_angles_and_limits_are_those_of_the_definition_at_a_thousand_poses(limit
 def test_gradients_are_those_of_differences(limits):
     row, tools, goals, _ = row_and_goals(limits, np.random.default_rng(3))
     value, goals, h = values(row, tools)[:50], jnp.asarray(goals[:50]), 1e-6
-    both = jax.jit(jax.vmap(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)])))
-    slopes = jax.jit(jax.vmap(jax.jacfwd(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)]))))
+    both = made_once.quick_jit(jax.vmap(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)])))
+    slopes = made_once.quick_jit(jax.vmap(jax.jacfwd(lambda v, g: jnp.concatenate([row.error(v, g), row.slack(v, g)]))))
     exact = np.asarray(slopes(value, goals))
     for k in range(row.size):
         step = h * np.tile(np.eye(row.size)[k], (len(value), 1))
@@ -134,7 +134,7 @@ def test_a_path_turned_about_its_normal_with_the_angles_exchanged_allows_the_sam
                    Rotation.random(POSES, rng=np.random.default_rng(4)).as_matrix())  # fmt: skip
     for file, row in zip((plain, turned), rows, strict=True):
         task, goals = made({"tool_axis": "tcp.z", **row}, path=file)
-        slack = jax.jit(jax.vmap(task.parts[1].slack, (0, None)))(tools, jnp.asarray(goals[0]))
+        slack = made_once.quick_jit(jax.vmap(task.parts[1].slack, (0, None)))(tools, jnp.asarray(goals[0]))
         found.append(np.sort(slack, axis=1))
     np.testing.assert_allclose(*found, atol=1e-12)
 
@@ -246,7 +246,7 @@ def test_a_plans_angles_are_those_of_the_definition_at_each_target_of_the_path(t
     found = {plate: tool_angles_at(scenario, ToolAxisRow("tcp.z", 45.0, work_angle_from=plate), robot, part, x)
              for plate in ("normal", "plate_2")}  # fmt: skip
     frame = np.array([[0, 1, 0], [-(0.5**0.5), 0, 0.5**0.5], [0.5**0.5, 0, 0.5**0.5]]).T
-    tools = np.asarray(jax.jit(jax.vmap(tcp_pose, (None, 0)))(robot, jnp.asarray(x)))[-4:, :3, :3]
+    tools = np.asarray(made_once.quick_jit(jax.vmap(tcp_pose, (None, 0)))(robot, jnp.asarray(x)))[-4:, :3, :3]
     np.testing.assert_allclose(
         np.deg2rad(found["normal"][-4:]), [defined_angles(tool, frame) for tool in tools], atol=1e-9
     )
