@@ -41,7 +41,7 @@ check: lint  ## a first answer: lint, a self-test, the mathematics, a small plan
 	$(PYTEST) $(CHECKED)
 
 test: lint  ## lint and the quick tests
-	@echo "The quick tests: 26 minutes on two cores the first time, fewer once programs are compiled"
+	@echo "The quick tests: 25 minutes on two cores the first time, fewer once programs are compiled"
 	$(PYTEST)
 
 BASE = HEAD
