@@ -35,10 +35,8 @@ def task(kind: str) -> Task:
 
 def calls(kind: str) -> dict:
     """Tables of calls for a task: goals that configurations satisfy, and others near these configurations."""
-    there, value = (
-        made_once.configurations_near(toy.START, COUNT, 0.2),
-        made_once.quick_jit(jax.vmap(task(kind).value, (None, 0))),
-    )
+    there = made_once.configurations_near(toy.START, COUNT, 0.2)
+    value = made_once.quick_jit(jax.vmap(task(kind).value, (None, 0)))
     goals = np.column_stack([np.asarray(value(toy.robot(), there)), np.full(COUNT, HALF_ANGLES[kind])])
     inputs = lane_inputs(stack([toy.scenario()]), np.zeros(COUNT, int), np.zeros(COUNT, int))
     inputs = inputs._replace(target=goals)

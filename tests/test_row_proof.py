@@ -59,9 +59,8 @@ class CachedArm(MujocoArm):
 
 
 def tool() -> np.ndarray:
-    return np.asarray(
-        made_once.quick_jit(jax.vmap(partial(tcp_pose, made_once.robot())))(jnp.asarray(configurations()))
-    )
+    poses = made_once.quick_jit(jax.vmap(partial(tcp_pose, made_once.robot())))
+    return np.asarray(poses(jnp.asarray(configurations())))
 
 
 @cache

@@ -12,7 +12,7 @@ obtuse, it is attained at the circumcentre. Otherwise it is attained where the p
 two shorter edges meets the longest edge: at c / (2 cos B) from B, or b / (2 cos C) from C.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -73,8 +73,7 @@ def denser_spacing(workpiece: Workpiece, lack_m: float) -> float | None:
     spacing = 1.8 * (radius_m - max(lack_m, 0.0))
     if spacing < DENSEST_M:
         return None
-    digit = 10.0 ** np.floor(np.log10(spacing))
-    spacing = float(np.round(np.floor(spacing / digit + 1e-9) * digit, 6))
+    spacing = _one_digit(spacing, np.floor)
     expected = len(workpiece.cloud) * (2 * radius_m / spacing) ** 2
     return spacing if LEVELS * expected <= surface.MOST_POINTS else None
 
@@ -126,7 +125,7 @@ def cover_mesh(
         required += f", as fine as {body.label} with a radius of {1e3 * body.radius_m:.4g} mm requires"
     regular = total / (2 * wanted**2)  # number of points of a square grid
     fewer = 2 * wanted * np.sqrt(LEVELS * regular / surface.MOST_POINTS)
-    check_count(regular, required, source, f" to {_rounded_up(fewer):g} or more")
+    check_count(regular, required, source, f" to {_one_digit(fewer, np.ceil):g} or more")
     left = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))
     points, reached, done = [*left], 0.0, 0
     while left.shape[2]:
@@ -183,10 +182,10 @@ def _furthest_corner(corners: Corners, point: Float[np.ndarray, "3 #F"]) -> Floa
     return np.sqrt(np.max([square_norm(corner - point) for corner in corners], axis=0))
 
 
-def _rounded_up(value: float) -> float:
-    """Return the next larger number with one significant digit."""
+def _one_digit(value: float, rounded: Callable[[float], float]) -> float:
+    """Return a number with one significant digit, rounded down by np.floor or up by np.ceil."""
     digit = 10.0 ** np.floor(np.log10(value))
-    return float(np.ceil(value / digit) * digit)
+    return float(f"{rounded(round(value / digit, 9)) * digit:.0e}")
 
 
 def _default_radius(total: float, body: NearbyBody | None) -> float:

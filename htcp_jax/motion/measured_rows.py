@@ -1,4 +1,4 @@
-"""Distances of all rows of clearance at some configurations, and the names of the bodies and obstacles, for messages.
+"""Distances of all rows of clearance, nearest points, and the names of bodies and obstacles, for messages and pictures.
 
 The executables are independent of the task and of the arm's structure, see `Scene.for_programs`, so that a message
 about an arm compiles nothing if another arm of the same sizes has been measured.
